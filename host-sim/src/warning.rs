@@ -60,11 +60,15 @@ pub enum WarningCode {
     DifferentNetworks,
     /// A known input that nothing uses.
     UnusedInput,
+    /// The error of an agent is not below that of an estimate that stays at the state's mean.
+    UselessEstimate,
+    /// Fitted polynomials were used outside the range of their samples.
+    Extrapolation,
 }
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 26] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,
@@ -89,6 +93,8 @@ impl WarningCode {
         Self::TrialLimitsDropped,
         Self::DifferentNetworks,
         Self::UnusedInput,
+        Self::UselessEstimate,
+        Self::Extrapolation,
     ];
 
     /// Returns the code as it appears in JSON.
@@ -119,6 +125,8 @@ impl WarningCode {
             Self::TrialLimitsDropped => "trial-limits-dropped",
             Self::DifferentNetworks => "different-networks",
             Self::UnusedInput => "unused-input",
+            Self::UselessEstimate => "useless-estimate",
+            Self::Extrapolation => "extrapolation",
         }
     }
 }

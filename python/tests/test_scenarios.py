@@ -10,7 +10,7 @@ from conftest import SHORT
 
 
 def test_built_in_scenarios_load_by_name():
-    assert "paper" in do.scenarios() and "field" in do.scenarios()
+    assert "paper" in do.scenarios() and "deployment" in do.scenarios()
     for name in do.scenarios():
         assert do.load(name).name == name
 

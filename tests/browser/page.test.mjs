@@ -218,7 +218,7 @@ const SHORT = ["--set", "time.duration=1", "--set", "evaluation={ from = 0.5, to
 const KINDS = {
   "one agent": { words: ["single.toml"], text: /the agents have no network|not compared/ },
   "a Kalman filter": { words: ["expressions", ...SHORT, "--set", "method=kalman"], missing: "Innovations" },
-  "links that fail": { words: ["field", "--without-learning"], text: /Link statistics/ },
+  "links that fail": { words: ["deployment", "--without-learning"], text: /Link statistics/ },
   "the field observer": { words: ["paper", "--set", "observer.preset=field", "--set", "learning=[]", "--set", "time.duration=2", "--set", "evaluation={ from = 1.0, to = 2.0 }"], text: /Field observer:/ },
   "a large seed": { words: ["expressions", ...SHORT, "--seed", "9007199254740993"], text: /Seed\s+9007199254740993/ },
   "an unstable run": { words: ["paper", "--set", "learning=[]", "--set", "time.step=0.0024", "--set", "time.duration=0.24", "--set", "evaluation={ from = 0.12, to = 0.24 }"], mayFail: true },

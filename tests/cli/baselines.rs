@@ -2,7 +2,7 @@
 //! run itself, and the spread over seeds.
 
 use host_sim::engine::{RunOptions, RunResult, Silent, run};
-use host_sim::scenario::{PAPER, Scenario};
+use host_sim::scenario::{Method, PAPER, Scenario};
 use serde_json::Value;
 
 use crate::cli::command_line::{Folder, object, short};
@@ -171,6 +171,54 @@ fn other_methods_are_listed_with_what_they_know() {
         let error = folder.fail(command, 2);
         assert!(error.contains("for simulation only"), "{error}");
     }
+}
+
+#[test]
+fn a_method_that_fails_or_extrapolates_says_what_fits_it() {
+    let folder = Folder::new("methods-advice");
+    let line = "run paper --baselines periodic,regression --format json --out out";
+    let report = object(&folder.succeed(line));
+    let text = |code: &str| {
+        let mut found = report["warnings"].as_array().unwrap().iter();
+        let warning = found.find(|warning| warning["code"] == code);
+        warning.unwrap_or_else(|| panic!("{code}"))["text"].as_str().unwrap().to_owned()
+    };
+    let failed = text("baseline-failed");
+    assert!(
+        failed.contains("method periodic failed") && failed.contains("fixed times"),
+        "{failed}"
+    );
+    assert!(failed.ends_with("there is no key to change"), "{failed}");
+    let outside = text("extrapolation");
+    assert!(outside.contains("z by up to") && outside.contains("learning.collect"), "{outside}");
+}
+
+#[test]
+fn the_field_observer_has_one_baseline_because_both_are_the_same() {
+    let folder = Folder::new("field-baselines");
+    let observer = "\n[observer]\nfrom = 0.3\nerror = 0.05\n";
+    folder.write("mine.toml", &(short().text() + observer));
+    let scenario = Scenario::parse("mine.toml", &(short().text() + observer)).unwrap();
+    let [no_network, untrained] = [Method::NoNetwork, Method::Untrained]
+        .map(|method| simulate(&Scenario { method, ..scenario.clone() }, 0, false).digest);
+    assert_eq!(no_network, untrained);
+    let text = folder.succeed("run mine.toml --baselines all --out out");
+    assert!(text.contains("`untrained` is the same as `no network`"), "{text}");
+    assert_eq!(text.matches("untrained").count(), 1, "{text}");
+    let report = object(&folder.succeed("run mine.toml --baselines all --out out --format json"));
+    for agent in agents(&report) {
+        assert!(agent["rmse_no_network"].is_f64(), "{agent}");
+        assert_eq!(agent["rmse_no_network"], agent["rmse_untrained"]);
+    }
+    assert_eq!(report["baselines"]["untrained"]["status"], "done");
+    // Nor has a run without training two of them.
+    let alone = "run mine.toml --without-learning --baselines all --format json --out alone";
+    let report = object(&folder.succeed(alone));
+    for baseline in ["no_network", "untrained"] {
+        assert_eq!(report["baselines"][baseline]["status"], "this_run");
+    }
+    let methods = report["methods"].as_array().unwrap().iter();
+    assert!(!methods.map(|row| &row["method"]).any(|method| method == "untrained"));
 }
 
 #[test]

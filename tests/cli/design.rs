@@ -4,7 +4,7 @@ use host_sim::engine::{RunOptions, Silent, run};
 use host_sim::report::theorems::Checks;
 use host_sim::scenario::Scenario;
 
-use crate::cli::command_line::{Folder, object, short};
+use crate::cli::command_line::{Folder, object, short, texts};
 use crate::cli::json_documented::assert_documented;
 
 #[test]
@@ -57,7 +57,30 @@ fn the_radius_keeps_the_wanted_error_or_rate() {
     let chosen = points.iter().find(|point| point["radius"] == report["radius"]).unwrap();
     assert!(chosen["error"].as_f64().unwrap() <= error, "{report}");
     let message = folder.fail("design mine.toml --max-error 1e-9", 1);
-    assert!(message.contains("no radius gives an error of at most"), "{message}");
+    assert!(message.contains("no useful radius gives an error of at most"), "{message}");
+}
+
+#[test]
+fn a_rate_at_which_estimates_say_nothing_is_refused() {
+    let folder = Folder::new("design-useless");
+    // Without broadcasts, agents that do not measure a component know nothing of it.
+    let message = folder.fail("design expressions --max-rate 1", 1);
+    let expected = [
+        "no useful radius gives at most 1 broadcasts per agent and second",
+        "an estimate that never moves would hardly be worse",
+        "allow more",
+        "[observer]",
+    ];
+    assert!(expected.iter().all(|part| message.contains(part)), "{message}");
+    // An error that large is not wanted, either: the largest useful radius is chosen.
+    let report = object(&folder.succeed("design expressions --max-error 100 --format json"));
+    let number = |key: &str| report[key].as_f64().unwrap();
+    assert!(number("error") < 0.9 * number("state_deviation"), "{report}");
+    assert!(number("rate") > 1.0, "{report}");
+    // A radius that is asked for is used, with a warning.
+    let output = folder.run("design expressions --radius 30 --format json");
+    let report = object(&texts(&output).0);
+    assert!(report["warnings"].as_array().unwrap().iter().any(|w| w["code"] == "useless-estimate"));
 }
 
 #[test]

@@ -5,6 +5,7 @@ use std::fs;
 use host_sim::packages::PackageBytes;
 
 use crate::cli::command_line::{Folder, object, short};
+use crate::cli::json_documented::assert_documented;
 
 fn folder(name: &str, more: &str) -> Folder {
     let folder = Folder::new(name);
@@ -56,7 +57,26 @@ fn the_field_observers_parameters_are_in_the_packages() {
         assert!(!package.package().node.field.is_empty());
         let text = folder.succeed(&format!("weights inspect {path}"));
         assert!(text.contains("field: coupled by trees"), "{text}");
+        let [measured, followed] = match path.contains("agent1") {
+            true => [
+                "direction 1          measured by output 1, gain",
+                "direction 2          follows agent 2, gain",
+            ],
+            false => [
+                "direction 2          measured by output 1, gain",
+                "direction 1          follows agent 1, gain",
+            ],
+        };
+        assert!(text.contains(measured) && text.contains(followed), "{text}");
+        let facts = object(&folder.succeed(&format!("weights inspect {path} --format json")));
+        assert_documented(&facts, &["parent", "root_gain", "disturbance_limit", "relay_share"]);
     }
+    // Differences are told in words, too.
+    let text = folder.succeed("weights diff fleet/agent1.weights fleet/agent2.weights");
+    let expected =
+        ["observer, direction 1, output: 1 -> none", "observer, direction 2, parent: 2 -> none"];
+    assert!(expected.iter().all(|line| text.contains(line)), "{text}");
+    assert!(!text.contains(['{', '"']) && !text.contains("null"), "{text}");
 }
 
 #[test]

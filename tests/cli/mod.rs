@@ -2,6 +2,7 @@
 
 mod baselines;
 mod borders;
+mod check;
 pub(crate) mod command_line;
 mod design;
 mod documentation;

@@ -383,8 +383,18 @@ fn tables_for_papers_are_latex() {
         let rows = text.matches(" \\\\\n").count();
         assert!(rows >= 3 && text.trim_end().ends_with("\\end{tabular}"), "{text}");
     }
+    // Other commands neither take nor offer it.
     let error = folder.fail("design mine.toml --format latex", 2);
-    assert!(error.contains("no table for papers"), "{error}");
+    assert!(error.contains("invalid value 'latex'"), "{error}");
+    for (command, has_tables) in
+        [("design", false), ("train", false), ("check", false), ("run", true), ("frontier", true)]
+    {
+        assert_eq!(
+            folder.succeed(&format!("{command} --help")).contains("latex"),
+            has_tables,
+            "{command}"
+        );
+    }
 }
 
 #[test]

@@ -90,7 +90,7 @@ fn from_samples_to_a_signed_package_that_cannot_be_changed() {
     }
     let replaces = "weights sign node1.weights --key operator.key --replaces 3 --out back.weights";
     let error = folder.fail(replaces, 2);
-    assert!(error.contains("use a higher epoch"), "{error}");
+    assert!(error.contains("use a higher package epoch"), "{error}");
     let difference = json(&folder, "weights diff node1.weights next.weights");
     assert_eq!(difference["identical"], false);
     assert!(difference["inner_parameters"]["changed"].as_u64().unwrap() > 0);
@@ -123,7 +123,7 @@ fn packages_for_older_firmware_are_of_format_1() {
     folder.succeed("weights renumber old.weights --version 4 --epoch 1 --out three.weights");
     assert_eq!(format("three.weights"), (2, 1));
     let error = folder.fail("weights renumber two.weights --version 4 --package-format 1", 2);
-    assert!(error.contains("format 1 has no epochs"), "{error}");
+    assert!(error.contains("format 1 has no package epochs"), "{error}");
     folder.succeed("weights renumber two.weights --version 4 --epoch 0 --package-format 1");
     assert_eq!(format("two.weights"), (1, 0));
     // Training keeps the epoch of its base.

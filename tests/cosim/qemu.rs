@@ -126,7 +126,7 @@ fn cosim_in_qemu_has_the_same_bits_with_the_field_observer() {
 #[ignore = "requires the firmware and QEMU; run `cargo xtask test`"]
 fn cosim_in_qemu_has_the_same_bits_in_the_field() {
     let folder = Folder::new("cosim-qemu-field");
-    let mut text = host_sim::scenario::built_in("field").unwrap().to_owned();
+    let mut text = host_sim::scenario::built_in("deployment").unwrap().to_owned();
     for (from, to) in [
         ("from = 32.0\nto = 32.5", "from = 2.2\nto = 2.4"),
         ("from = 0.0\nto = 3.0", "from = 0.0\nto = 0.3"),

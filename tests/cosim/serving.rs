@@ -307,7 +307,7 @@ fn a_harmful_package_is_back_out_by_itself_and_a_good_one_stays() {
         assert_eq!(after["trial"]["needed_seconds"].as_f64().unwrap().round(), 10.0);
         assert_eq!(after["trial"]["deadline_seconds"].as_f64().unwrap().round(), 30.0);
         let told = folder.succeed("node nodes/agent-1.sock");
-        assert!(told.contains("version 2 of epoch 0 did not stay in use: "), "{told}");
+        assert!(told.contains("version 2 of package epoch 0 did not stay in use: "), "{told}");
 
         let tick = after["tick"].as_u64().unwrap();
         wait_until("there is something to compare with again", || {

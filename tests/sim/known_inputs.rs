@@ -138,8 +138,13 @@ fn samples_have_a_column_for_each_known_input() {
     let text = fs::read_to_string(folder.path("out/agent1_cycle1_samples.csv")).unwrap();
     let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).collect();
     assert!(lines[0].starts_with(
-        "time [s],xhat1 [state unit],xhat2 [state unit],u1 [input unit],u2 [input unit],dxhat1"
+        "time [s],xhat1 [state unit],xhat2 [state unit],input.u [input unit],input.k [input unit],dxhat1"
     ));
+    assert!(
+        lines[0].ends_with(",agent,step [s]") && lines[1].ends_with(",1,0.002"),
+        "{}",
+        lines[1]
+    );
     let plant = parsed(DRIVEN).plant;
     for line in [lines[1], lines[2], lines[lines.len() - 2]] {
         let cells: Vec<f64> = line.split(',').take(5).map(|cell| cell.parse().unwrap()).collect();

@@ -91,13 +91,13 @@ fn corrupt_frames_are_refused_one_by_one() {
 
 #[test]
 fn the_field_has_the_same_bits_on_any_number_of_threads() {
-    let mut scenario = Scenario::parse("field", built_in("field").unwrap()).unwrap();
+    let mut scenario = Scenario::parse("deployment", built_in("deployment").unwrap()).unwrap();
     scenario.time.duration = 4.0;
     scenario.evaluation = Window { from: 2.0, to: 4.0 };
     scenario.learning.clear();
     scenario.life[1].window = Window { from: 3.2, to: 3.6 };
     // Enough agents to be stepped in parallel.
-    let text = built_in("field").unwrap().replace(
+    let text = built_in("deployment").unwrap().replace(
         "output_matrix = [[1.0, 0.0, 0.0]]",
         "output_matrix = [[1.0, 0.0, 0.0]]\ncount = 70",
     );

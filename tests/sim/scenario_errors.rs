@@ -147,7 +147,7 @@ fn missing_files() {
     // The rest of the message depends on the system.
     assert!(error.problem.starts_with("cannot be read: "), "{error}");
     assert!(error.to_string().starts_with("no/such.toml: cannot be read: "), "{error}");
-    let hint = "pass the path of a scenario file, or the name of a built-in scenario (paper, field, lorenz, \
+    let hint = "pass the path of a scenario file, or the name of a built-in scenario (paper, deployment, lorenz, \
                 pendulum, duffing, expressions); `host-sim scenario paper > mine.toml` writes a \
                 starting point";
     assert_eq!((error.line, error.key, error.hint.as_str()), (None, None, hint));

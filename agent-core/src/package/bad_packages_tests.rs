@@ -207,7 +207,7 @@ fn identities(bad: &mut Bad) {
         package.node.agent = 7 + (1 << 16);
     });
     for (epoch, version) in [(1, 4), (1, 3), (1, 0), (0, 5), (0, u32::MAX)] {
-        bad.package(&format!("version {version} of epoch {epoch}"), |package| {
+        bad.package(&format!("version {version} of package epoch {epoch}"), |package| {
             (package.epoch, package.version) = (epoch, version);
         });
     }

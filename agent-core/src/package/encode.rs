@@ -52,7 +52,7 @@ impl core::fmt::Display for EncodeError {
             Self::Epoch { epoch } => {
                 write!(
                     f,
-                    "format 1 has no epochs, but the package is of epoch {epoch}; use package format 2"
+                    "format 1 has no package epochs, but this is of package epoch {epoch}; use package format 2"
                 )
             }
             Self::Exchange => write!(
@@ -72,7 +72,7 @@ impl core::fmt::Display for EncodeError {
             ),
             Self::Replaces => write!(
                 f,
-                "format 2 cannot replace newer versions; use a higher epoch, or package format 1"
+                "format 2 cannot replace newer versions; use a higher package epoch, or package format 1"
             ),
         }
     }

@@ -23,7 +23,7 @@ pub struct Serial {
 
 impl core::fmt::Display for Serial {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(f, "version {} of epoch {}", self.version, self.epoch)
+        write!(f, "version {} of package epoch {}", self.version, self.epoch)
     }
 }
 

@@ -45,7 +45,7 @@ impl core::fmt::Display for Problem {
             Self::Package(report) => write!(f, "package refused: {report}"),
             Self::NotSealed => write!(f, "the node is provisioned and needs this request sealed"),
             Self::Seal => {
-                write!(f, "the seal does not match the node's port key, epoch and counter")
+                write!(f, "the seal does not match the node's port key, boot epoch and counter")
             }
             Self::NotProvisioned => write!(f, "the node is not provisioned"),
             Self::NotSigned => {
@@ -243,9 +243,12 @@ impl core::fmt::Display for RefusalReport {
             Kind::Older => {
                 write!(f, "it has version {found}, but version {expected} has been in use")
             }
-            Kind::Epoch => write!(f, "it is of epoch {found}, but the node is in epoch {expected}"),
+            Kind::Epoch => write!(
+                f,
+                "it is of package epoch {found}, but the node is in package epoch {expected}"
+            ),
             Kind::Repeated => {
-                write!(f, "version {found} of epoch {expected} has been in use already")
+                write!(f, "version {found} of package epoch {expected} has been in use already")
             }
             Kind::Step => write!(
                 f,

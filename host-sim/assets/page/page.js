@@ -80,7 +80,8 @@ function agentTable(run) {
     { name: "agent", value: (agent) => agent.agent },
     ...column("rmse", `RMSE, ${run.run_name} [state unit]`),
     ...column("rmse_no_network", "RMSE, no network [state unit]"),
-    ...column("rmse_untrained", "RMSE, untrained [state unit]"),
+    // The field observer leaves a network out until it is trained, so both are the same.
+    ...(run.observer && has("rmse_no_network") ? [] : column("rmse_untrained", "RMSE, untrained [state unit]")),
     ...column("change_percent_no_network", "change against no network", percent),
     ...column("max_error", "largest error [state unit]"),
     ...column("innovation_rms", "innovation RMS [output unit]"),

@@ -158,6 +158,15 @@ impl<'s> Driven<'s> {
         !self.known.iter().all(|u| u.is_finite())
     }
 
+    /// Returns the polynomial, if that is what the outer weights combine, and the known inputs.
+    #[must_use]
+    pub fn polynomial(&self) -> Option<(&Polynomial, &[f32])> {
+        match &self.basis {
+            Basis::Polynomial(polynomial) => Some((polynomial, &self.known)),
+            _ => None,
+        }
+    }
+
     /// Returns the network, if that is what the outer weights combine.
     #[inline]
     #[must_use]

@@ -7,6 +7,8 @@
 //! | *untrained* | the scenario's initial one | yes | no |
 //! | the run itself | the scenario's own, or given packages | yes | as the scenario says |
 //!
+//! The field observer leaves a network out until it is trained, so both baselines are then the same run.
+//!
 //! Baselines record nothing and run in parallel with the run itself, without affecting its result.
 //! If a baseline fails, the reason is reported and the run itself continues.
 
@@ -92,7 +94,12 @@ pub(super) fn methods(
     let has_columns = scenario.method == Method::Observer && scenario.network.is_some();
     let is_extra = |method: &Method| match method {
         Method::Observer => !has_columns,
-        Method::NoNetwork | Method::Untrained => !has_columns && scenario.network.is_some(),
+        Method::NoNetwork => !has_columns && scenario.network.is_some(),
+        // The same as without a network, if the field observer leaves it out.
+        Method::Untrained => {
+            let is_same = scenario.observer.is_some() && choices == [Choice::All];
+            !has_columns && scenario.network.is_some() && !is_same
+        }
         _ => true,
     };
     let mut methods: Vec<Method> = match choices {
@@ -174,6 +181,8 @@ pub(super) enum Outcome {
     NotRun,
     /// The run itself is this baseline.
     Itself,
+    /// The same as the baseline without a network.
+    AsNoNetwork,
     Done(Vec<AgentStatistics>),
     Failed(RunError),
 }
@@ -199,6 +208,8 @@ pub(super) struct Baselines {
 pub(super) struct Plan {
     pub(super) runs: [bool; 2],
     itself: bool,
+    /// Whether an untrained network is not used, so that the baselines are the same.
+    is_same: bool,
 }
 
 impl Plan {
@@ -212,7 +223,13 @@ impl Plan {
         };
         let [no_network, untrained] =
             [Method::NoNetwork, Method::Untrained].map(|method| wanted(Choice::Only(method)));
-        Self { runs: [no_network, untrained && trained], itself: untrained && !trained }
+        let is_same = scenario.observer.is_some();
+        let itself = untrained && !trained;
+        let runs = match is_same {
+            true => [no_network && !itself, untrained && trained && !no_network],
+            false => [no_network, untrained && trained],
+        };
+        Self { runs, itself, is_same }
     }
 
     /// Returns the number of baselines to run.
@@ -230,13 +247,17 @@ impl Plan {
         let outcome = |index: usize| {
             if self.runs[index] {
                 Outcome::of(Baseline::ALL[index].run(scenario, seed, &progress()))
-            } else if self.itself && Baseline::ALL[index] == Baseline::Untrained {
+            } else if self.itself && (self.is_same || Baseline::ALL[index] == Baseline::Untrained) {
                 Outcome::Itself
             } else {
                 Outcome::NotRun
             }
         };
         let (no_network, untrained) = rayon::join(|| outcome(0), || outcome(1));
+        let untrained = match untrained {
+            Outcome::NotRun if self.is_same && self.runs[0] => Outcome::AsNoNetwork,
+            untrained => untrained,
+        };
         Baselines { outcomes: [no_network, untrained] }
     }
 }
@@ -257,7 +278,23 @@ impl Baselines {
         match &self.outcomes[baseline as usize] {
             Outcome::NotRun | Outcome::Failed(_) => None,
             Outcome::Itself => Some(itself),
+            Outcome::AsNoNetwork => self.agents(Baseline::NoNetwork, itself),
             Outcome::Done(agents) => Some(agents),
+        }
+    }
+
+    /// Returns whether the untrained network is the same as none, so that it needs no column or row of its own.
+    pub(super) fn are_same(&self) -> bool {
+        matches!(&self.outcomes, [_, Outcome::AsNoNetwork] | [Outcome::Itself, Outcome::Itself])
+    }
+
+    /// Says why there is one baseline only, if they are the same.
+    pub(super) fn note(&self) -> &'static str {
+        match self.are_same() {
+            true => {
+                "The field observer leaves a network out until it is trained, so `untrained` is the same as `no network`.\n\n"
+            }
+            false => "",
         }
     }
 
@@ -291,13 +328,17 @@ impl Baselines {
 
     /// Returns how each baseline ended, for JSON.
     pub(super) fn states(&self) -> States {
-        let [no_network, untrained] = self.outcomes.each_ref().map(|outcome| match outcome {
-            Outcome::NotRun => State { status: "not_run", reason: None },
+        let state = |outcome: &Outcome| match outcome {
+            Outcome::NotRun | Outcome::AsNoNetwork => State { status: "not_run", reason: None },
             Outcome::Itself => State { status: "this_run", reason: None },
             Outcome::Done(_) => State { status: "done", reason: None },
             Outcome::Failed(error) => State { status: "failed", reason: Some(error.to_string()) },
-        });
-        States { no_network, untrained }
+        };
+        let [no_network, untrained] = match &self.outcomes {
+            [outcome, Outcome::AsNoNetwork] => [outcome, outcome],
+            [no_network, untrained] => [no_network, untrained],
+        };
+        States { no_network: state(no_network), untrained: state(untrained) }
     }
 }
 

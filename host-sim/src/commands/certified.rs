@@ -17,8 +17,8 @@ use nalgebra::{DMatrix, DVector};
 use crate::analysis::{
     GainCertificate, TriggerConstants, UltimateBound, laplacian_norm, spectral_norm,
 };
-use crate::engine::RunResult;
-use crate::flow::{Certificate, Plan, plant_course, ultimate};
+use crate::engine::TrainingRecord;
+use crate::flow::{Certificate, Plan, PlanError, plant_course, ultimate};
 use crate::learning::trained;
 use crate::packages::{PackageBytes, with_node_dimension};
 use crate::scenario::{ObserverSettings, Scenario};
@@ -32,9 +32,9 @@ const RELAY_SHARE_MAX: f64 = 0.9;
 /// Samples of the trajectory between those at which the network is compared with the plant.
 const STRIDE: usize = 10;
 
-/// Returns the certified bound on `|e_1|`, all agents stacked, after a long time; `None` without a
-/// certificate. \[state unit\]
-pub(super) fn bound(scenario: &Scenario, run: &RunResult) -> Option<f64> {
+/// Returns the certified bound on `|e_1|`, all agents stacked, after a long time, with the network in use after these
+/// trainings; `None` without a certificate. \[state unit\]
+pub(super) fn bound(scenario: &Scenario, trainings: &[TrainingRecord]) -> Option<f64> {
     let own = usize::from(scenario.observer.is_some());
     let is_robust = scenario.observer.as_ref().is_some_and(|observer| observer.exchange.is_some());
     if is_robust || scenario.trigger.departure().is_some() || scenario.departures().len() > own {
@@ -48,7 +48,7 @@ pub(super) fn bound(scenario: &Scenario, run: &RunResult) -> Option<f64> {
         }
         Some(observer) if observer.coupling == Coupling::Held => held(scenario, observer),
         Some(observer) if observer.coupling == Coupling::Trees => {
-            with_node_dimension!(scenario.dimension(), trees(scenario, observer, run), else None)
+            with_node_dimension!(scenario.dimension(), trees(scenario, observer, trainings), else None)
         }
         Some(_) => None,
     };
@@ -98,18 +98,13 @@ fn held(scenario: &Scenario, observer: &ObserverSettings) -> Option<f64> {
 fn trees<const N: usize>(
     scenario: &Scenario,
     observer: &ObserverSettings,
-    run: &RunResult,
+    trainings: &[TrainingRecord],
 ) -> Option<f64> {
     if observer.relay_share > RELAY_SHARE_MAX {
         return None;
     }
     let plan = Plan::new(scenario).ok()??;
-    let package = in_use(scenario, run)?;
-    // A trained package has gains for the frequencies that were found.
-    let equipped = match package.package().node.field {
-        [] => plan.equip(&package, 0, &[]).ok()?,
-        _ => package,
-    };
+    let equipped = equipped(scenario, &plan, trainings)?.ok()?;
     let field = FieldParams::<N>::from_words(FieldWords(equipped.package().node.field)).ok()?;
     if field.options.adapts {
         return None;
@@ -130,9 +125,24 @@ fn trees<const N: usize>(
     Some(bound.radius * spectral_norm(&geometry.inverse))
 }
 
+/// Returns the package of agent 1 with the observer's parameters, for the network in use after these trainings;
+/// `None` without a network.
+pub(super) fn equipped(
+    scenario: &Scenario,
+    plan: &Plan<'_>,
+    trainings: &[TrainingRecord],
+) -> Option<Result<PackageBytes, PlanError>> {
+    let package = in_use(scenario, trainings)?;
+    // A trained package has gains for the frequencies that were found.
+    Some(match package.package().node.field {
+        [] => plan.equip(&package, 0, &[]),
+        _ => Ok(package),
+    })
+}
+
 /// Returns the last package of agent 1 that was switched in, or its initial one.
-fn in_use(scenario: &Scenario, run: &RunResult) -> Option<PackageBytes> {
-    let trained = run.trainings.iter().rev().find(|t| t.agent == 1 && t.switched_in);
+fn in_use(scenario: &Scenario, trainings: &[TrainingRecord]) -> Option<PackageBytes> {
+    let trained = trainings.iter().rev().find(|t| t.agent == 1 && t.switched_in);
     if let Some(training) = trained {
         return Some(training.package.clone());
     }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
+use super::observer_certificate::ObserverPreview;
 use super::{
     Changes, CommandError, ErrorCode, Format, load_scenario, print_outcome, print_text, warnings,
 };
@@ -38,6 +39,8 @@ struct Report<'a> {
     dimension: usize,
     steps: u64,
     checks: DesignReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    observer: Option<&'a ObserverPreview>,
     warnings: &'a [Warning],
 }
 
@@ -45,7 +48,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let scenario = load_scenario(&arguments.scenario, &arguments.changes)?;
     let design = DesignChecks::new(&scenario);
     let warnings = warnings::before(&scenario, &design);
-    let outcome = if let Some(error) = expression_error(&scenario) {
+    let fault = expression_error(&scenario);
+    let (observer, fault) = match fault.map_or_else(|| ObserverPreview::new(&scenario), Err) {
+        Ok(observer) => (observer, None),
+        Err(fault) => (None, Some(fault)),
+    };
+    let outcome = if let Some(error) = fault {
         Err(error.into())
     } else if design.step.is_stable() {
         Ok(())
@@ -62,12 +70,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 dimension: scenario.dimension(),
                 steps: scenario.steps(),
                 checks: DesignReport::new(&design),
+                observer: observer.as_ref(),
                 warnings: &warnings,
             };
             print_outcome(&report, outcome)
         }
         Format::Text => {
-            let printed = print_text(&text(&scenario, &design, &warnings));
+            let printed = print_text(&text(&scenario, &design, observer.as_ref(), &warnings));
             outcome.and(printed)
         }
     }
@@ -108,7 +117,12 @@ fn expression_error(scenario: &Scenario) -> Option<RunError> {
     })
 }
 
-fn text(scenario: &Scenario, design: &DesignChecks, warnings: &[Warning]) -> String {
+fn text(
+    scenario: &Scenario,
+    design: &DesignChecks,
+    observer: Option<&ObserverPreview>,
+    warnings: &[Warning],
+) -> String {
     let mut text = format!(
         "Scenario {}: {} agents, {} state components, {} steps\n",
         scenario.name,
@@ -130,5 +144,6 @@ fn text(scenario: &Scenario, design: &DesignChecks, warnings: &[Warning]) -> Str
             significant(bound.ultimate().sqrt(), 4)
         );
     }
+    text += &observer.map_or(String::new(), ObserverPreview::text);
     text + &warnings::lines(warnings)
 }

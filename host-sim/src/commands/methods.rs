@@ -6,8 +6,9 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::warnings::extrapolation;
 use crate::engine::statistics::AgentStatistics;
-use crate::engine::{Progress, RunError, RunOptions, run};
+use crate::engine::{Progress, RunError, RunOptions, remedy, run};
 use crate::figures::{
     Figure, FrontierFigure, FrontierForm, FrontierPoint, INNOVATION_LABEL, RMSE_LABEL, frontier,
 };
@@ -38,6 +39,9 @@ pub(super) struct Row {
     bytes: Option<u64>,
     /// Why the run failed.
     reason: Option<String>,
+    /// A warning about polynomials outside the range of their samples.
+    #[serde(skip)]
+    extrapolation: Option<String>,
 }
 
 fn name<S: serde::Serializer>(method: &Method, serializer: S) -> Result<S::Ok, S::Error> {
@@ -56,6 +60,7 @@ impl Row {
             broadcasts: sum(|agent| agent.broadcasts_evaluated),
             bytes: sum(|agent| agent.bytes_evaluated),
             reason: None,
+            extrapolation: None,
         }
     }
 
@@ -65,9 +70,11 @@ impl Row {
     }
 
     /// Returns the row of a method whose errors are excessive.
-    fn diverged(method: Method, error: f64) -> Self {
-        let reason = format!("it diverged: an error of {error:.1e} in the evaluation window");
-        let reason = Some(reason);
+    fn diverged(scenario: &Scenario, error: f64) -> Self {
+        let advice = remedy(scenario);
+        let reason =
+            format!("it diverged: an error of {error:.1e} in the evaluation window; {advice}");
+        let (method, reason) = (scenario.method, Some(reason));
         Self { broadcasts: None, bytes: None, reason, ..Self::new(method, &[]) }
     }
 
@@ -83,12 +90,16 @@ impl Row {
         errors?.into_iter().reduce(f64::max)
     }
 
-    /// Returns a warning if the run failed.
+    /// Returns what is wrong with the run, if anything.
     pub(super) fn warning(&self) -> Option<Warning> {
-        let reason = self.reason.as_ref()?;
         let method = self.method.name();
-        let text = format!("the method {method} failed, so its errors are missing: {reason}");
-        Some(Warning::new(WarningCode::BaselineFailed, text))
+        let failed = self.reason.as_ref().map(|reason| {
+            let text = format!("the method {method} failed, so its errors are missing: {reason}");
+            Warning::new(WarningCode::BaselineFailed, text)
+        });
+        let outside = self.extrapolation.as_ref();
+        failed
+            .or_else(|| outside.map(|text| Warning::new(WarningCode::Extrapolation, text.as_str())))
     }
 }
 
@@ -104,8 +115,11 @@ pub(super) fn carry_out<P: Progress>(
         let options = RunOptions { seed, learning: true, bounds: false };
         match run(&scenario, options, &progress()) {
             Ok(result) => match result.excessive_error() {
-                None => Row::new(method, &result.agents),
-                Some(error) => Row::diverged(method, error),
+                None => Row {
+                    extrapolation: extrapolation(&scenario, &result.agents),
+                    ..Row::new(method, &result.agents)
+                },
+                Some(error) => Row::diverged(&scenario, error),
             },
             Err(error) => Row::failed(method, &error),
         }

@@ -33,6 +33,7 @@ mod node;
 mod node_keys;
 #[cfg(unix)]
 mod node_report;
+mod observer_certificate;
 mod output;
 mod package_format;
 mod progress;
@@ -140,7 +141,7 @@ enum Format {
     Json,
 }
 
-/// How the results of commands that run or train something are printed.
+/// How the results of commands with tables for papers are printed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum TableFormat {
     /// Text for people
@@ -148,21 +149,8 @@ enum TableFormat {
     Text,
     /// One JSON object
     Json,
-    /// The tables for LaTeX; only for run, reproduce, frontier and sweep
+    /// The tables for LaTeX
     Latex,
-}
-
-impl TableFormat {
-    /// Returns the format of a command without tables for papers.
-    fn without_tables(self) -> Result<Format, CommandError> {
-        match self {
-            Self::Text => Ok(Format::Text),
-            Self::Json => Ok(Format::Json),
-            Self::Latex => Err(CommandError::usage(
-                "--format latex: this command prints no table for papers; use text or json",
-            )),
-        }
-    }
 }
 
 /// Options of every command that runs or trains something.
@@ -171,9 +159,6 @@ struct Common {
     /// Random seed
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Output format
-    #[arg(long, value_enum, default_value_t)]
-    format: TableFormat,
     /// Number of threads, 0 for one per core; results do not depend on it, to the last bit
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
     threads: u16,

@@ -44,8 +44,8 @@ fn network_keys(session: &Session) -> Vec<u8> {
 pub(super) fn text(session: Option<&Session>) -> String {
     let Some(session) = session else { return "  not provisioned\n".to_owned() };
     let epoch = match session.epoch {
-        Some(epoch) => format!("epoch {epoch}"),
-        None => "no epoch: its flash cannot record one".to_owned(),
+        Some(epoch) => format!("boot epoch {epoch}"),
+        None => "no boot epoch: its flash cannot record one".to_owned(),
     };
     let keys = match network_keys(session).as_slice() {
         [] => "no network key".to_owned(),
@@ -136,13 +136,13 @@ mod tests {
             proof: 1,
             network_keys: [Some(4), Some(3)],
         };
-        let line = "  provisioned as agent 2, epoch 7, network key 4, also accepts 3\n";
+        let line = "  provisioned as agent 2, boot epoch 7, network key 4, also accepts 3\n";
         assert_eq!(text(Some(&session)), line);
         let report = KeysReport::new(Some(&session));
         assert_eq!((report.agent, report.network_keys), (Some(2), vec![4, 3]));
         (session.epoch, session.network_keys) = (None, [None; 2]);
         let line = text(Some(&session));
-        assert!(line.contains("no epoch") && line.ends_with("no network key\n"), "{line}");
+        assert!(line.contains("no boot epoch") && line.ends_with("no network key\n"), "{line}");
         assert_eq!(text(None), "  not provisioned\n");
         assert!(!KeysReport::new(None).provisioned);
     }

@@ -130,7 +130,7 @@ pub(super) fn text(report: &Report) -> String {
     }
     if let Some(LastRevert { version, epoch, reason }) = report.last_revert {
         text += &format!(
-            "  version {version} of epoch {epoch} did not stay in use: {}\n",
+            "  version {version} of package epoch {epoch} did not stay in use: {}\n",
             reason_text(reason)
         );
     }

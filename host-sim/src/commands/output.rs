@@ -11,6 +11,7 @@ use crate::engine::statistics::AgentStatistics;
 use crate::engine::{RunResult, TrainingRecord};
 use crate::figures::{FigureFormat, Marker, Reference};
 use crate::files::output::OutputError;
+use crate::packages::recording::SampleLabels;
 use crate::report::csv::{EpochRow, write_epochs, write_events, write_traces};
 use crate::scenario::{LearningCycle, Scenario, Window};
 
@@ -116,7 +117,10 @@ pub(super) fn packages(
         }
         if let Some(recording) = &training.recording {
             let name = samples_name(training.agent, training.cycle);
-            recording.save(&folder.join(name))?;
+            let inputs = scenario.plant.input_names();
+            let (agent, step) = (training.agent, scenario.time.step_size);
+            let labels = SampleLabels { agent, step, inputs: &inputs };
+            recording.save_labelled(&folder.join(name), Some(&labels))?;
         }
     }
     Ok(())

@@ -16,7 +16,7 @@ const STEPS: &str =
     "{prefix:12} [{bar:32}] {percent:>3} %  {human_pos} of {human_len} steps  {eta} left";
 const ENDLESS: &str = "{prefix:12} {human_pos} steps  {elapsed} elapsed";
 const BYTES: &str = "{prefix:12} [{bar:32}] {percent:>3} %  {bytes} of {total_bytes}";
-const EPOCHS: &str = "{prefix:12} {msg}  ({human_pos} epochs in total)";
+const EPOCHS: &str = "{prefix:12} {msg}  ({human_pos} training epochs in total)";
 
 /// The two progress bars.
 #[derive(Debug)]
@@ -80,8 +80,9 @@ impl ProgressBars {
     pub(super) fn trained(&self, agent: usize, cycle: usize, number: usize, train_mse: f64) {
         self.epochs.inc(1);
         if !self.epochs.is_hidden() {
-            let message =
-                format!("agent {agent}, cycle {cycle}: epoch {number}, MSE {train_mse:.3e}");
+            let message = format!(
+                "agent {agent}, cycle {cycle}: training epoch {number}, MSE {train_mse:.3e}"
+            );
             self.epochs.set_message(message);
         }
     }

@@ -43,6 +43,9 @@ pub(super) struct Arguments {
     out: PathBuf,
     #[command(flatten)]
     figures: FigureFormats,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: TableFormat,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -130,9 +133,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let (_, others) = folder.publish(&scenario, seed)?;
     let seeds = seeds.map(|seeds| seeds::Report::new(&seeds, &no_network.agents, &without.agents));
     let trainings = trainings::summaries(&with.trainings);
-    let outcome = warnings::outcome(&checks);
+    let outcome = warnings::outcome(&scenario, &checks);
     let elapsed_s = start.elapsed().as_secs_f64();
-    match arguments.common.format {
+    match arguments.format {
         TableFormat::Json => {
             let report = Report {
                 seed,

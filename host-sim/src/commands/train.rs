@@ -64,6 +64,9 @@ pub(super) struct Arguments {
     passphrase: Passphrase,
     #[command(flatten)]
     package_format: PackageFormat,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -105,7 +108,7 @@ struct Report<'a> {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    let format = arguments.common.format.without_tables()?;
+    let format = arguments.format;
     // While prompting for a passphrase, Ctrl-C ends the program.
     let key = arguments.sign.as_deref().map(|path| arguments.passphrase.key(path)).transpose()?;
     let start = Instant::now();

@@ -4,7 +4,8 @@ use agent_core::observer::field::HoldKind;
 
 use super::{CommandError, ErrorCode};
 use crate::analysis::{GainVerdict, spectral_norm};
-use crate::engine::RunResult;
+use crate::engine::statistics::{AgentStatistics, Extrapolation};
+use crate::engine::{RunResult, remedy};
 use crate::learning::judgement::outer_weights;
 use crate::number::significant;
 use crate::plant::Plant;
@@ -183,8 +184,13 @@ pub(super) fn after(
     for text in &run.missed {
         warn(WarningCode::NotSwitchedIn, text.clone());
     }
-    if let Some(text) = unstable_run(checks) {
+    if let Some(text) = unstable_run(scenario, checks) {
         warn(WarningCode::UnstableRun, text);
+    } else if let Some(text) = useless_estimate(scenario, run) {
+        warn(WarningCode::UselessEstimate, text);
+    }
+    if let Some(text) = extrapolation(scenario, &run.agents) {
+        warn(WarningCode::Extrapolation, text);
     }
     let steps = scenario.steps().max(1) as f64;
     // The first broadcast, at t = 0, is not caused by the trigger.
@@ -232,6 +238,51 @@ pub(super) fn after(
     warnings
 }
 
+/// Share of the width of the samples' range by which inputs may leave it without a warning.
+const OUTSIDE: f32 = 0.05;
+
+/// Describes how far polynomials were used outside the range of their samples, or returns `None` if they hardly were.
+pub(super) fn extrapolation(scenario: &Scenario, agents: &[AgentStatistics]) -> Option<String> {
+    let found = agents.iter().map(|agent| &agent.extrapolation);
+    let names = [scenario.plant.state_names(), scenario.plant.input_names()].concat();
+    let farthest = names.iter().enumerate().filter_map(|(place, name)| {
+        let farthest = found.clone().filter_map(|agent| agent.farthest.get(place));
+        let farthest = farthest.copied().fold(0.0, f32::max);
+        let percent = significant(100.0 * f64::from(farthest), 2);
+        (farthest > OUTSIDE).then(|| format!("{name} by up to {percent} %"))
+    });
+    let farthest: Vec<String> = farthest.collect();
+    let sum = |of: fn(&Extrapolation) -> u64| found.clone().map(of).sum::<u64>() as f64;
+    let share = sum(|agent| agent.outside) / sum(|agent| agent.steps).max(1.0);
+    (!farthest.is_empty()).then(|| {
+        format!(
+            "regression: the polynomials are used outside the range of their samples in {} % of the evaluated steps, {} of \
+             the range's width; they stay as at its edge there, so their errors say little about polynomials in \
+             general; collect samples over a longer window (learning.collect)",
+            significant(100.0 * share, 2),
+            farthest.join(", "),
+        )
+    })
+}
+
+/// Describes an error that makes an agent's estimate useless, or returns `None` if there is none.
+fn useless_estimate(scenario: &Scenario, run: &RunResult) -> Option<String> {
+    let (agent, error) = run.useless_estimate()?;
+    let advice = match &scenario.observer {
+        _ if scenario.method.is_kalman() => "lower kalman.radius",
+        None => {
+            "lower the trigger's radius (design.epsilon), or use [observer] where broadcasts are few"
+        }
+        Some(_) => "lower observer.error or observer.radius",
+    };
+    Some(format!(
+        "agent {agent} has an RMSE of {}, but the state itself is only {} (RMS) from its mean, so an estimate \
+         that never moves would hardly be worse; {advice}",
+        significant(error, 3),
+        significant(run.state_deviation, 3),
+    ))
+}
+
 /// Removes repeated warnings about outer weights, which are the same for all agents.
 fn without_repetition(warnings: impl Iterator<Item = Warning>, before: &[Warning]) -> Vec<Warning> {
     let is_outer = |warning: &Warning| warning.code == WarningCode::OuterWeights;
@@ -240,10 +291,10 @@ fn without_repetition(warnings: impl Iterator<Item = Warning>, before: &[Warning
 }
 
 /// Describes how a run was unstable, or returns `None` if it was stable.
-pub(super) fn unstable_run(checks: &Checks) -> Option<String> {
+pub(super) fn unstable_run(scenario: &Scenario, checks: &Checks) -> Option<String> {
     let growth = checks.growth.filter(|_| checks.unbounded())?;
     let hint = if checks.design.step.is_stable() {
-        "lower design.gain, [outer_law] gain or time.step, or check the plant".to_owned()
+        format!("{}, or check the plant", remedy(scenario))
     } else {
         checks.design.step.describe()
     };
@@ -257,8 +308,9 @@ pub(super) fn unstable_run(checks: &Checks) -> Option<String> {
 }
 
 /// Returns an error if the run was unstable.
-pub(super) fn outcome(checks: &Checks) -> Result<(), CommandError> {
-    unstable_run(checks).map_or(Ok(()), |text| Err(CommandError::new(ErrorCode::Unstable, text)))
+pub(super) fn outcome(scenario: &Scenario, checks: &Checks) -> Result<(), CommandError> {
+    unstable_run(scenario, checks)
+        .map_or(Ok(()), |text| Err(CommandError::new(ErrorCode::Unstable, text)))
 }
 
 #[cfg(test)]

@@ -188,6 +188,16 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         }
     }
 
+    /// Records how far a polynomial's inputs are outside the range of its samples.
+    pub(super) fn note_extrapolation(&mut self) {
+        let Some((polynomial, known)) = self.network.as_ref().and_then(Driven::polynomial) else {
+            return;
+        };
+        let estimate = self.state.estimate();
+        let inputs: Vec<f32> = estimate.iter().chain(known).copied().collect();
+        self.statistics.extrapolation.note(polynomial.outside(&inputs));
+    }
+
     /// Records that the agent did nothing in a step of the engine.
     pub(super) fn rest(&mut self) {
         self.tick = None;

@@ -5,7 +5,7 @@ use agent_core::Tick;
 use super::RunError;
 use crate::analysis::StepCheck;
 use crate::plant::{ExpressionFault, Stepper};
-use crate::scenario::Scenario;
+use crate::scenario::{Method, Scenario};
 
 /// Norm of the plant's state above which the plant is the cause of a divergence, not the agent.
 const RUNAWAY: f64 = 1e6;
@@ -16,13 +16,35 @@ pub(super) fn norm_in_words(plant_norm: f64) -> String {
 }
 
 /// Returns a hint for an agent that diverged while the state had this norm.
-pub(super) fn step_hint(plant_norm: f64, step: &StepCheck) -> String {
+pub(super) fn step_hint(plant_norm: f64, step: &StepCheck, remedy: &str) -> String {
     if plant_norm >= RUNAWAY {
         return "the plant itself diverges: change plant, disturbance or initial state".to_owned();
     }
-    let more =
-        if step.is_stable() { "; lower time.step, or change [network] or [outer_law]" } else { "" };
-    step.describe() + more
+    let more = if step.is_stable() { format!("; {remedy}") } else { String::new() };
+    step.describe() + &more
+}
+
+/// Returns what to do if the errors of a scenario's method grow although its step is short enough.
+#[must_use]
+pub fn remedy(scenario: &Scenario) -> &'static str {
+    match scenario.method {
+        Method::Periodic => {
+            "this many broadcasts are too few at fixed times, which is a result of the comparison: there is no key to \
+             change"
+        }
+        Method::Kalman | Method::ExtendedKalman => "lower kalman.consensus_gain",
+        Method::Regression => {
+            "lower the gain of [outer_law], or collect samples over a longer window (learning.collect)"
+        }
+        Method::NoNetwork | Method::KnownModel => "lower time.step or design.gain",
+        Method::Observer | Method::Untrained if scenario.trigger.departure().is_some() => {
+            "broadcast more often (trigger.every), or lower design.gain"
+        }
+        _ if scenario.network.is_none() => "lower time.step or design.gain",
+        Method::Observer | Method::Untrained => {
+            "lower time.step or design.gain, or change [network] or [outer_law]"
+        }
+    }
 }
 
 /// Returns why the step at `tick` from `before` led to a state that is not finite.

@@ -68,7 +68,7 @@ fn periodic(
     let steps = (window.end - window.start) * scenario.agents.len() as u64;
     let every = (steps as f64 / broadcasts.max(1) as f64).round().clamp(1.0, f64::from(u32::MAX));
     let every = NonZeroU32::new(every as u32).unwrap_or(NonZeroU32::MIN);
-    changed.record = scenario.record;
+    (changed.method, changed.record) = (scenario.method, scenario.record);
     match &mut changed.observer {
         Some(observer) => {
             observer.radius = Some(vec![OUT_OF_REACH; scenario.dimension()]);

@@ -29,6 +29,7 @@ pub mod run_observer;
 mod sensor;
 mod sent;
 mod simulated_plant;
+mod state_size;
 pub mod statistics;
 mod stepping;
 pub mod traces;
@@ -55,6 +56,7 @@ use link::LayerCount;
 use statistics::AgentStatistics;
 use traces::Traces;
 
+pub use failure::remedy;
 pub use lanes::LaneMode;
 pub use run::{run, run_in_lanes, run_observed, run_over, start_package};
 pub use run_observer::{RunObserver, RunObserverError};
@@ -114,12 +116,41 @@ pub struct RunResult {
     pub bounds: Option<Bounds>,
     /// The largest `|x_0|`; 0 if it is not known. \[state unit\]
     pub largest_state: f64,
+    /// The root mean square of the distance of `x_0` from its mean over the evaluation window, which is the error of
+    /// an estimate that stays there; 0 if the state is not known. \[state unit\]
+    pub state_deviation: f64,
     /// A hash of every broadcast and of the final state of every agent. Equal digests mean, except
     /// for hash collisions, that two runs behaved identically.
     pub digest: u64,
 }
 
 impl RunResult {
+    /// Returns the agent, from 1, with the largest root mean square of the error in the evaluation window, and
+    /// that error; `None` if errors are not known or one is not finite. \[state unit\]
+    #[must_use]
+    pub fn largest_rmse(&self) -> Option<(usize, f64)> {
+        let errors: Option<Vec<f64>> =
+            self.agents.iter().map(|agent| agent.rmse().filter(|rmse| rmse.is_finite())).collect();
+        let errors = (1..).zip(errors?);
+        errors.reduce(|worst, other| if other.1 > worst.1 { other } else { worst })
+    }
+
+    /// Returns [`Self::largest_rmse`] if the agent's estimate is of no use: its error is at least 90 % of
+    /// [`Self::state_deviation`], that of an estimate that never moves. A plant that comes to rest is easily
+    /// estimated like that, so an error counts only from 5 % of the largest state on.
+    #[must_use]
+    pub fn useless_estimate(&self) -> Option<(usize, f64)> {
+        let least = (Self::USELESS * self.state_deviation).max(Self::SETTLED * self.largest_state);
+        let is_known = self.state_deviation > 0.0;
+        self.largest_rmse().filter(|&(_, rmse)| is_known && rmse >= least)
+    }
+
+    /// Share of the error of an estimate that never moves from which on an error is useless.
+    const USELESS: f64 = 0.9;
+
+    /// Share of the largest state below which no error is called useless.
+    const SETTLED: f64 = 0.05;
+
     /// Returns the largest error in the evaluation window if it is excessive: not finite, or more than
     /// [`Growth::FAR`](bounds::Growth::FAR) times the largest state, which an observer that always estimates
     /// zero would not exceed. \[state unit\]
@@ -251,7 +282,7 @@ pub enum RunError {
     #[error(
         "agent {agent} at t = {time}: {error}{}; {}",
         norm_in_words(*plant_norm),
-        step_hint(*plant_norm, step)
+        step_hint(*plant_norm, step, remedy)
     )]
     Step {
         /// The agent, from 1.
@@ -262,6 +293,8 @@ pub enum RunError {
         plant_norm: f64,
         /// Whether the step is short enough for the observer itself.
         step: StepCheck,
+        /// What to do if it is.
+        remedy: &'static str,
         /// The core's error.
         error: StepError,
     },

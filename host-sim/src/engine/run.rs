@@ -9,7 +9,7 @@ use agent_core::math::parameter::ParameterError;
 use super::agents::{ParamBuffers, SimulatedAgent, Surroundings};
 use super::bounds::BoundsMeter;
 use super::clock::Clock;
-use super::failure::plant_error;
+use super::failure::{plant_error, remedy};
 use super::kalman;
 use super::lanes::{LaneMode, Lanes};
 use super::learning::Learning;
@@ -21,6 +21,7 @@ use super::run_observer::{AgentStart, RunObserver, Switch};
 use super::sensor::Sensor;
 use super::sent::Sent;
 use super::simulated_plant::SimulatedPlant;
+use super::state_size::StateSize;
 use super::stepping;
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult, TrainingRecord};
@@ -30,7 +31,7 @@ use crate::flow::Plan;
 use crate::learning::{agent_config, trained};
 use crate::packages::{OwnedAgentConfig, PackageBytes, with_dimension};
 use crate::plant::{DIMENSION_MAX, RateFault};
-use crate::scenario::{Downtime, LearningCycle, Network, Scenario};
+use crate::scenario::{Downtime, LearningCycle, Method, Network, Scenario};
 use crate::training::{Dataset, TrainingError};
 
 /// Steps between progress reports.
@@ -198,7 +199,7 @@ fn run_fixed<'c, const N: usize>(
         cycles: Vec::new(),
         missed: Vec::new(),
         traces: Traces::of(scenario),
-        largest_state: 0.0,
+        state_size: StateSize::new(N),
         bounds: (options.bounds && scenario.plant.recording().is_none())
             .then(|| BoundsMeter::new(scenario)),
         digest: Fnv::default(),
@@ -376,8 +377,7 @@ struct Simulation<'s, 'c, const N: usize> {
     /// What agents missed of the learning cycles.
     missed: Vec<String>,
     traces: Traces,
-    /// The square of the largest `|x_0|`.
-    largest_state: f64,
+    state_size: StateSize,
     bounds: Option<BoundsMeter<'s>>,
     digest: Fnv,
 }
@@ -577,7 +577,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
     #[inline]
     fn note(&mut self, tick: Tick, evaluated: bool) {
         let truth = &self.truth;
-        self.largest_state = self.largest_state.max(truth.iter().fold(0.0, |sum, x| sum + x * x));
+        self.state_size.note(truth, evaluated);
         let is_known = self.scenario.plant.is_known();
         if evaluated || self.bounds.is_some() {
             let mut stacked = 0.0;
@@ -586,6 +586,9 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
                 stacked += squared;
                 if evaluated && is_known && !self.down[index] {
                     agent.statistics.error(squared);
+                }
+                if evaluated && self.scenario.method == Method::Regression {
+                    agent.note_extrapolation();
                 }
             }
             if let Some(bounds) = &mut self.bounds {
@@ -649,6 +652,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
                 time,
                 plant_norm: self.truth.iter().fold(0.0, |sum, x| sum + x * x).sqrt(),
                 step: StepCheck::new(self.scenario),
+                remedy: remedy(self.scenario),
                 error,
             }),
             None => Ok(()),
@@ -705,7 +709,8 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
             agents: self.agents.into_iter().map(SimulatedAgent::finish).collect(),
             trainings,
             traces: self.traces,
-            largest_state: self.largest_state.sqrt(),
+            largest_state: self.state_size.largest(),
+            state_deviation: self.state_size.deviation(),
             bounds: self.bounds.map(BoundsMeter::finish),
             digest: self.digest.finish(),
         }

@@ -35,8 +35,38 @@ pub struct AgentStatistics {
     pub hold_error_rate_max: f64,
     /// Largest `|W_hat_i|` (Frobenius); 0 if not requested.
     pub outer_weights_norm_max: f64,
+    /// Where fitted polynomials were used beyond their samples.
+    pub extrapolation: Extrapolation,
     /// Ticks of all broadcasts, if the scenario records events.
     pub events: Vec<Tick>,
+}
+
+/// How far the inputs of a polynomial were outside the range of the samples that it was fitted to, in the evaluation
+/// window.
+#[derive(Clone, Debug, Default)]
+pub struct Extrapolation {
+    /// Steps with a polynomial.
+    pub steps: u64,
+    /// Of these, those with an input outside.
+    pub outside: u64,
+    /// The farthest of each input, as a share of the range's width; empty without a polynomial.
+    pub farthest: Vec<f32>,
+}
+
+impl Extrapolation {
+    /// Records how far each input is outside at one step, as a share of the range's width.
+    pub fn note(&mut self, outside: impl Iterator<Item = f32>) {
+        let mut is_outside = false;
+        for (place, share) in outside.enumerate() {
+            is_outside |= share > 0.0;
+            match self.farthest.get_mut(place) {
+                Some(farthest) => *farthest = farthest.max(share),
+                None => self.farthest.push(share),
+            }
+        }
+        self.steps += 1;
+        self.outside += u64::from(is_outside);
+    }
 }
 
 impl AgentStatistics {

@@ -127,7 +127,7 @@ fn unit(largest: f64) -> &'static str {
     } else if largest > *SIZES.end() {
         "use a larger unit for the samples, so that values are about 1"
     } else {
-        "train with less noise, for fewer epochs or with another seed"
+        "train with less noise, for fewer training epochs or with another seed"
     }
 }
 

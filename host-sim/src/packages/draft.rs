@@ -66,7 +66,7 @@ pub enum DraftError {
     Network(NetworkError),
     /// A number of the network is infinite or not a number.
     #[error(
-        "{what} {} is not finite in single precision; train with less noise, for fewer epochs or with \
+        "{what} {} is not finite in single precision; train with less noise, for fewer training epochs or with \
          another seed, or correct the network", index + 1
     )]
     NotFinite {

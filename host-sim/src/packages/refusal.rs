@@ -14,10 +14,10 @@ pub fn hint(kind: RefusalKind) -> &'static str {
     match kind {
         Kind::Older | Kind::Repeated => {
             "give it a newer version with `host-sim weights renumber`; to go back to this older network, give it \
-             the epoch after the node's with `weights renumber --epoch` or `weights sign --epoch`"
+             the package epoch after the node's with `weights renumber --epoch` or `weights sign --epoch`"
         }
         Kind::Epoch => {
-            "give it the node's epoch and a newer version, or the next epoch, with `host-sim weights \
+            "give it the node's package epoch and a newer version, or the next package epoch, with `host-sim weights \
              renumber --epoch`"
         }
         Kind::Step => {

@@ -34,7 +34,7 @@ impl fmt::Display for PackageSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "agent {}, ", self.agent)?;
         if self.epoch > 0 {
-            write!(f, "epoch {}, ", self.epoch)?;
+            write!(f, "package epoch {}, ", self.epoch)?;
         }
         write!(f, "version {}, {} bytes", self.version, self.bytes)
     }

@@ -6,7 +6,7 @@ pub const PAPER: &str = include_str!("../../scenarios/paper.toml");
 /// Name and text of every built-in scenario.
 pub const BUILT_IN: [(&str, &str); 6] = [
     ("paper", PAPER),
-    ("field", include_str!("../../scenarios/field.toml")),
+    ("deployment", include_str!("../../scenarios/deployment.toml")),
     ("lorenz", include_str!("../../scenarios/lorenz.toml")),
     ("pendulum", include_str!("../../scenarios/pendulum.toml")),
     ("duffing", include_str!("../../scenarios/duffing.toml")),

@@ -95,6 +95,9 @@ pub(super) struct Arguments {
     keys: Option<PathBuf>,
     #[command(flatten)]
     passphrase: Passphrase,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -119,7 +122,7 @@ fn number_in(text: &str, low: f64, high: f64) -> Result<f64, String> {
 const ENDLESS: u64 = 1 << 40;
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    let format = arguments.common.format.without_tables()?;
+    let format = arguments.format;
     interruption::listen(SecondSignal::Wait);
     let mut scenario = scenario(arguments)?;
     let endpoints =

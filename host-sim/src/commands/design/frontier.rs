@@ -13,7 +13,8 @@ use super::apply;
 use crate::analysis::design::Plan;
 use crate::commands::progress::ProgressBars;
 use crate::commands::{CommandError, ErrorCode, SharedProgress};
-use crate::engine::{RunOptions, run};
+use crate::engine::statistics::AgentStatistics;
+use crate::engine::{RunOptions, RunResult, run};
 use crate::number::significant;
 use crate::report::columns::aligned;
 use crate::report::tables::number;
@@ -47,15 +48,18 @@ pub(super) struct Point {
     pub(super) rate: Option<f64>,
     /// The ultimate bound without the weight error. \[state unit\]
     pub(super) bound: f64,
+    /// Whether the run says more than an estimate that never moves.
+    #[serde(skip)]
+    is_useful: bool,
 }
 
 impl Wanted {
     pub(super) fn is_empty(self) -> bool {
         self.error.is_none() && self.rate.is_none()
     }
-
     fn error_kept(self, point: &Point) -> bool {
-        point.error.is_some_and(|error| self.error.is_none_or(|wanted| error <= wanted))
+        let is_kept = |error: f64| self.error.is_none_or(|wanted| error <= wanted);
+        point.is_useful && point.error.is_some_and(is_kept)
     }
 
     fn rate_kept(self, point: &Point) -> bool {
@@ -76,9 +80,36 @@ impl Wanted {
         let rate = self.rate.map(|rate| format!("at most {rate} broadcasts per agent and second"));
         error.into_iter().chain(rate).collect::<Vec<_>>().join(" and ")
     }
+
+    /// Says what is possible instead, and what to do.
+    fn why_not(self, points: &[Point], deviation: f64) -> String {
+        let smallest = |key: fn(&Point) -> Option<f64>, of: &dyn Fn(&Point) -> bool| {
+            let found = points.iter().filter(|point| of(point)).filter_map(key).reduce(f64::min);
+            found.map_or("none".to_owned(), |found| significant(found, 3))
+        };
+        let is_useless = |point: &&Point| point.error.is_some() && !point.is_useful;
+        let useless = points.iter().filter(is_useless).find(|point| self.rate_kept(point));
+        let relation = useless.map_or(String::new(), |point| {
+            format!(
+                "at the radius {} the largest RMSE is {}, but the state itself is only {} (RMS) from its mean, so an \
+                 estimate that never moves would hardly be worse; ",
+                significant(point.radius, 3),
+                number(point.error),
+                significant(deviation, 3),
+            )
+        });
+        format!(
+            "{relation}the smallest error is {}, the lowest rate of a useful radius {}; allow more, choose a larger \
+             gain (a larger k2 in [design], or --objective decay), train a better network, or use [observer], \
+             which needs fewer broadcasts",
+            smallest(|point| point.error, &|_| true),
+            smallest(|point| point.rate, &|point| point.is_useful),
+        )
+    }
 }
 
-/// Returns the chosen radius and all runs, by radius.
+/// Returns the chosen radius and all runs, by radius. `deviation` is the error of an estimate that stays at the
+/// state's mean. \[state unit\]
 pub(super) fn search(
     scenario: &Scenario,
     plan: &Plan,
@@ -86,6 +117,7 @@ pub(super) fn search(
     start: f64,
     seed: u64,
     wanted: Wanted,
+    deviation: f64,
 ) -> Result<(f64, Vec<Point>), CommandError> {
     let bars = ProgressBars::new("frontier");
     let done = AtomicU64::new(0);
@@ -103,20 +135,17 @@ pub(super) fn search(
             apply(&mut changed, &certificate);
             let options = RunOptions { seed, learning: true, bounds: false };
             let result = run(&changed, options, &progress());
-            let (measured, failure) = match result {
-                Ok(result) => (Some(result.agents), None),
-                Err(error) => (None, Some(error)),
+            let measured = result.as_ref().ok();
+            let worst = measured.and_then(RunResult::largest_rmse);
+            let point = Point {
+                radius,
+                epsilon: certificate.epsilon,
+                error: worst.map(|(_, error)| error),
+                rate: measured.map(|result| rate(scenario, &result.agents)),
+                bound: certificate.bound,
+                is_useful: measured.is_some_and(|result| result.useless_estimate().is_none()),
             };
-            let error = measured.as_ref().and_then(|agents| {
-                let errors: Option<Vec<f64>> = agents.iter().map(|agent| agent.rmse()).collect();
-                Some(errors?.into_iter().fold(0.0, f64::max)).filter(|error| error.is_finite())
-            });
-            let rate = measured.as_ref().map(|agents| {
-                let count: u64 = agents.iter().map(|agent| agent.broadcasts()).sum();
-                count as f64 / (agents.len() as f64 * scenario.time.duration)
-            });
-            let bound = certificate.bound;
-            (Point { radius, epsilon: certificate.epsilon, error, rate, bound }, failure)
+            (point, result.err())
         };
         let found: Vec<_> = next.par_iter().map(one).collect();
         for (point, failure) in found {
@@ -161,22 +190,22 @@ pub(super) fn search(
     match chosen {
         Some(point) => Ok((point.radius, points)),
         None => {
-            let best = |key: fn(&Point) -> Option<f64>| {
-                points.iter().filter_map(key).fold(f64::INFINITY, f64::min)
-            };
             let text = format!(
-                "scenario {}: no radius gives {}; the smallest error is {}, the lowest rate {}; allow \
-                 more, choose a larger gain (a larger k2 in [design], or --objective decay), or train a \
-                 better network\n{}",
+                "scenario {}: no useful radius gives {}; {}\n{}",
                 scenario.name,
                 wanted.in_words(),
-                significant(best(|point| point.error), 3),
-                significant(best(|point| point.rate), 3),
+                wanted.why_not(&points, deviation),
                 table(&points),
             );
             Err(CommandError::new(ErrorCode::NoDesign, text.trim_end()))
         }
     }
+}
+
+/// Returns the broadcasts per agent and second of a whole run. \[1/s\]
+pub(super) fn rate(scenario: &Scenario, agents: &[AgentStatistics]) -> f64 {
+    let count: u64 = agents.iter().map(AgentStatistics::broadcasts).sum();
+    count as f64 / (agents.len() as f64 * scenario.time.duration)
 }
 
 /// Formats the runs that a radius was chosen from.

@@ -71,6 +71,9 @@ pub(super) struct Arguments {
     /// Write a copy of the scenario with the chosen numbers; comments stay
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -134,6 +137,9 @@ struct Report<'a> {
     ultimate_bound_without_weights: f64,
     ultimate_bound: Option<f64>,
     knee: Knee,
+    error: Option<f64>,
+    state_deviation: f64,
+    rate: f64,
     frontier: &'a [Point],
     checks: ChecksReport,
     warnings: &'a [Warning],
@@ -145,13 +151,19 @@ struct Designed {
     step: StepCheck,
     certificate: Certificate,
     knee: Knee,
+    /// The largest RMSE of an agent in the confirming run. \[state unit\]
+    error: Option<f64>,
+    /// See [`RunResult::state_deviation`]. \[state unit\]
+    state_deviation: f64,
+    /// Broadcasts per agent and second in the confirming run. \[1/s\]
+    rate: f64,
     frontier: Vec<Point>,
     checks: Checks,
     warnings: Vec<Warning>,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
-    let format = arguments.common.format.without_tables()?;
+    let format = arguments.format;
     let start = Instant::now();
     let (scenario, source) = load_with_text(&arguments.scenario, &arguments.changes)?;
     let scenario = scenario.drawn(arguments.common.seed).into_owned();
@@ -198,6 +210,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
                 .ultimate_bound
                 .map(|bound| bound.ultimate().sqrt()),
             knee: designed.knee,
+            error: designed.error,
+            state_deviation: designed.state_deviation,
+            rate: designed.rate,
             frontier: &designed.frontier,
             checks: ChecksReport::new(&designed.checks),
             warnings: &designed.warnings,
@@ -260,7 +275,7 @@ fn design(scenario: &Scenario, arguments: &Arguments) -> Result<Designed, Comman
     let (radius, frontier) = if wanted.is_empty() {
         (radius, Vec::new())
     } else {
-        frontier::search(&changed, &plan, rho, radius, seed, wanted)?
+        frontier::search(&changed, &plan, rho, radius, seed, wanted, measured.0.state_deviation)?
     };
     for _ in 1..RUNS_MAX {
         let certificate = plan.certificate(rho, radius);
@@ -270,7 +285,21 @@ fn design(scenario: &Scenario, arguments: &Arguments) -> Result<Designed, Comman
         if found <= rho {
             let warnings = found_warnings(&changed, &result, &checks);
             let knee = plan.knee(rho);
-            return Ok(Designed { gain, step, certificate, knee, frontier, checks, warnings });
+            let error = result.largest_rmse().map(|(_, error)| error);
+            let state_deviation = result.state_deviation;
+            let rate = frontier::rate(scenario, &result.agents);
+            return Ok(Designed {
+                gain,
+                step,
+                certificate,
+                knee,
+                error,
+                state_deviation,
+                rate,
+                frontier,
+                checks,
+                warnings,
+            });
         }
         rho = round_up(found * MARGIN);
     }

@@ -48,6 +48,17 @@ pub(super) fn of(scenario: &Scenario, designed: &Designed) -> String {
         significant(knee.epsilon, 3),
         significant(knee.bound, 3),
     );
+    if let (Some(error), true) = (designed.error, designed.state_deviation > 0.0) {
+        text += &format!(
+            "Confirming run: largest RMSE {}, {} % of the state's RMS distance from its mean, {}; {} broadcasts per agent \
+             and second, {} % of the steps\n\n",
+            significant(error, 3),
+            significant(100.0 * error / designed.state_deviation, 3),
+            significant(designed.state_deviation, 3),
+            significant(designed.rate, 3),
+            significant(100.0 * designed.rate * scenario.time.step_size, 3),
+        );
+    }
     if !points.is_empty() {
         text += &frontier::table(points);
         text.push('\n');

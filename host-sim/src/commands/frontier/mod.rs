@@ -58,6 +58,9 @@ pub(super) struct Arguments {
     out: Option<PathBuf>,
     #[command(flatten)]
     figures: FigureFormats,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: TableFormat,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -128,7 +131,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         .map_err(|error| folder.placed(error))?;
     let (files, others) = folder.publish(&scenario, seed)?;
     let outcome = outcome(&points, is_complete);
-    match arguments.common.format {
+    match arguments.format {
         TableFormat::Json => print_outcome(&report, outcome),
         TableFormat::Latex => {
             let mut text = String::new();

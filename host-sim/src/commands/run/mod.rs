@@ -1,6 +1,5 @@
 //! `run`: runs a scenario.
 
-mod certificate;
 mod files;
 mod reported;
 mod results;
@@ -12,6 +11,7 @@ use clap::Args;
 pub use reported::{PreparedRun, ReportedRun};
 
 use super::baselines::Choice;
+use super::observer_certificate::ObserverCertificate;
 use super::output::FigureFormats;
 use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
@@ -27,7 +27,6 @@ use crate::report::checks;
 use crate::report::latex::latex;
 use crate::scenario::{Method, Scenario};
 use crate::terminal::one_line;
-use certificate::ObserverCertificate;
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
@@ -62,6 +61,9 @@ pub(super) struct Arguments {
     figures: FigureFormats,
     #[command(flatten)]
     package_format: PackageFormat,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: TableFormat,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -100,7 +102,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     files::write(folder.stage(), options, &run, &text).map_err(|error| folder.placed(error))?;
     let (files, others) = folder.publish(run.scenario(), arguments.common.seed)?;
     let outcome = run.outcome();
-    match arguments.common.format {
+    match arguments.format {
         TableFormat::Json => print_outcome(&run.report(), outcome),
         TableFormat::Latex => {
             let window = &run.scenario.evaluation;
@@ -139,6 +141,7 @@ fn text_of(run: &ReportedRun) -> String {
     text += &initial_state_text(scenario);
     text += &recording_text(scenario);
     text += &agent_table::text(scenario, &run.agents, &run.baselines, run.name());
+    text += run.baselines.note();
     text += &agent_table::traffic(&run.result, &run.agents);
     if !run.rows.is_empty() {
         text += &methods::text(&run.rows);

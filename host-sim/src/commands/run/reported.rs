@@ -5,12 +5,12 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use super::certificate::ObserverCertificate;
 use crate::commands::agent_table::AgentReport;
 use crate::commands::baselines::{
     self, Baseline, Baselines, Choice, Comparison, Plan, States, has_packages,
 };
 use crate::commands::health::HealthReport;
+use crate::commands::observer_certificate::ObserverCertificate;
 use crate::commands::trainings::{self, TrainingSummary};
 use crate::commands::{CommandError, SharedProgress, methods, warnings};
 use crate::engine::link::LayerCount;
@@ -78,7 +78,7 @@ impl PreparedRun {
         let others = rows.iter().filter(|row| !own.contains(&row.method));
         warnings.extend(others.filter_map(methods::Row::warning));
         let agents = agent_reports(&scenario, &result, &baselines);
-        let certificate = ObserverCertificate::new(&scenario, &result);
+        let certificate = ObserverCertificate::new(&scenario, &result.trainings);
         let trainings = trainings::summaries(&result.trainings);
         Ok(ReportedRun {
             scenario,
@@ -199,7 +199,7 @@ impl ReportedRun {
     /// # Errors
     /// If the errors grew without bound.
     pub fn outcome(&self) -> Result<(), CommandError> {
-        warnings::outcome(&self.checks)
+        warnings::outcome(&self.scenario, &self.checks)
     }
 
     /// Returns the name of the run in comparison with its baselines.
@@ -211,7 +211,7 @@ impl ReportedRun {
             "learned"
         } else if has_packages(scenario) {
             "packages"
-        } else if scenario.network.is_some() {
+        } else if scenario.network.is_some() && scenario.observer.is_none() {
             Baseline::Untrained.name()
         } else {
             Baseline::NoNetwork.name()
@@ -234,6 +234,9 @@ fn method_rows(
     for (baseline, method) in
         [(Baseline::NoNetwork, Method::NoNetwork), (Baseline::Untrained, Method::Untrained)]
     {
+        if baseline == Baseline::Untrained && baselines.are_same() {
+            continue;
+        }
         let agents = baselines.agents(baseline, &result.agents);
         rows.extend(agents.map(|agents| methods::Row::new(method, agents)));
         rows.extend(baselines.failure(baseline).map(|error| methods::Row::failed(method, error)));

@@ -123,6 +123,12 @@ fn is_plain(name: &str) -> bool {
     !name.starts_with('.') && name.chars().all(letter) && kind_of(name).is_some()
 }
 
+/// Whether files of this name show by their content that they are results; pictures and tables of other programs can
+/// look the same.
+pub(super) fn shows_origin(name: &str) -> bool {
+    [NAME, RESULTS, FRONTIER, PAGE].contains(&name)
+}
+
 /// Returns the kind of a result, determined by its name.
 pub(super) fn kind_of(name: &str) -> Option<FileKind> {
     match Path::new(name).extension()?.to_str()? {

@@ -2,7 +2,7 @@
 //!
 //! The results are written to a hidden subfolder and moved into place together at the end. The
 //! manifest, [`manifest::NAME`], lists them: the next run replaces exactly these files and removes
-//! those that it does not write. Other files are left alone; if one has the name of a planned
+//! those that it does not write. Other files are left alone, whatever their kind; if one has the name of a planned
 //! result, the run is refused before it starts. The folder is locked until the process ends.
 
 mod manifest;
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 pub(super) use manifest::{
     FRONTIER, FRONTIER_KIND, PAGE, RESULTS, RESULTS_KIND, command_line, command_of, is_complete,
 };
-use manifest::{Manifest, kind_of};
+use manifest::{Manifest, kind_of, shows_origin};
 
 use super::CommandError;
 use crate::files::output::temporary::{Temporary, is_temporary, uninterrupted};
@@ -130,7 +130,7 @@ pub(super) fn lock(path: &Path) -> Result<Option<File>, CommandError> {
     }
 }
 
-/// Refuses a name that is taken by something other than a result or a file of the previous run.
+/// Refuses a name that is taken by something other than a result of the previous run.
 fn check(folder: &Path, name: &str, before: &BTreeSet<String>) -> Result<(), OutputError> {
     let path = folder.join(name);
     let Some(kind) = kind_of(name) else { return Ok(()) };
@@ -142,8 +142,11 @@ fn check(folder: &Path, name: &str, before: &BTreeSet<String>) -> Result<(), Out
     };
     match target {
         None => Err(OutputError::NotAFile { path, what: "a folder or a device" }),
-        Some(target) if target.exists() && !before.contains(name) && !kind.replaces(&target) => {
+        Some(target) if target.exists() && !kind.replaces(&target) => {
             Err(OutputError::OtherKind { path, kind: kind.name })
+        }
+        Some(target) if kind.is_at(&target) && !before.contains(name) && !shows_origin(name) => {
+            Err(OutputError::NotOurs { path })
         }
         Some(_) => Ok(()),
     }

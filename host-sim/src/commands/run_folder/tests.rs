@@ -83,6 +83,33 @@ fn a_file_that_is_not_a_result_is_refused_before_the_run_and_kept() {
 }
 
 #[test]
+fn a_file_that_only_looks_like_a_result_is_refused_and_kept() {
+    let folder = Folder::new("looks");
+    let mine = [
+        ("a.csv", table("mine")),
+        ("a.pdf", "%PDF-1.7 mine".to_owned()),
+        ("a.svg", "<svg>mine</svg>".to_owned()),
+    ];
+    for (name, text) in mine {
+        folder.write(name, &text);
+        let error = folder.run(&[name], "1").unwrap_err().to_string();
+        assert!(error.contains(&format!("{name}: not from a previous run here")), "{error}");
+        assert_eq!(folder.read(name), text);
+        fs::remove_file(folder.0.join(name)).unwrap();
+    }
+    // What a run wrote is replaced, unless it is of another kind by now.
+    folder.run(&["a.csv"], "1").unwrap();
+    folder.run(&["a.csv"], "2").unwrap();
+    folder.write("a.csv", "price list\n");
+    assert!(folder.run(&["a.csv"], "3").is_err());
+    assert_eq!(folder.read("a.csv"), "price list\n");
+    // An empty file is no loss.
+    folder.write("a.csv", "");
+    folder.run(&["a.csv"], "4").unwrap();
+    assert_eq!(folder.read("a.csv"), table("4"));
+}
+
+#[test]
 fn a_concurrent_run_into_the_same_folder_fails() {
     let folder = Folder::new("lock");
     let first = RunFolder::claim(&folder.0, &[]).unwrap();
@@ -125,7 +152,7 @@ fn leftovers_of_a_killed_run_are_removed() {
 fn a_symlinked_result_is_written_through_the_link() {
     let folder = Folder::new("link");
     fs::create_dir(folder.0.join("disk")).unwrap();
-    folder.write("disk/real.csv", &table("old"));
+    folder.write("disk/real.csv", "");
     std::os::unix::fs::symlink("disk/real.csv", folder.0.join("a.csv")).unwrap();
     folder.run(&["a.csv"], "1").unwrap();
     assert!(fs::symlink_metadata(folder.0.join("a.csv")).unwrap().is_symlink());

@@ -37,7 +37,7 @@ use super::{
     print_text,
 };
 use crate::figures::{tradeoff, write_all};
-use crate::files::output::{OutputError, make_folder};
+use crate::files::output::{FileKind, OutputError, make_folder};
 use crate::interruption::{self, SecondSignal};
 use crate::number::counted;
 use crate::report::latex::latex;
@@ -102,6 +102,9 @@ pub(super) struct Arguments {
     parquet: bool,
     #[command(flatten)]
     figures: FigureFormats,
+    /// Output format
+    #[arg(long, value_enum, default_value_t)]
+    format: TableFormat,
     #[command(flatten)]
     pub(super) common: Common,
 }
@@ -122,7 +125,21 @@ impl Arguments {
         if path.symlink_metadata().is_ok() && !kind.replaces(&path) {
             return Err(OutputError::OtherKind { path, kind: kind.name }.into());
         }
-        Ok(())
+        if folder.join(study::NAME).exists() || kind.is_at(&path) {
+            return Ok(());
+        }
+        // No study has written here: what would be replaced, or removed, is someone else's.
+        let made = [
+            ("tradeoff.svg", FileKind::SVG),
+            ("tradeoff.png", FileKind::PNG),
+            ("tradeoff.pdf", FileKind::PDF),
+            ("results.parquet", FileKind::PARQUET),
+        ];
+        let mut made = made.into_iter().map(|(name, kind)| (folder.join(name), kind));
+        match made.find(|(path, kind)| kind.is_at(path)) {
+            Some((path, _)) => Err(OutputError::NotOurs { path }.into()),
+            None => Ok(()),
+        }
     }
 
     /// Refuses formats of what only a complete study has.
@@ -253,7 +270,7 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         first_failure: None,
         summary: &summary.cells,
     };
-    match arguments.common.format {
+    match arguments.format {
         TableFormat::Json => print_outcome(&report, Ok(())),
         TableFormat::Latex => print_text(&latex(TITLE, &summary.table(usize::MAX))),
         TableFormat::Text => print_text(&format!(
@@ -345,7 +362,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         summary: &summary.cells,
     };
     let result = result(&study, &outcome, before, &file, &summary);
-    match arguments.common.format {
+    match arguments.format {
         TableFormat::Json => print_outcome(&report, result),
         TableFormat::Latex => {
             let table = latex(TITLE, &summary.table(usize::MAX));

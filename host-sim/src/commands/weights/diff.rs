@@ -7,7 +7,9 @@ use serde::Serialize;
 use serde_json::Value;
 
 use crate::commands::{CommandError, Format, print_json, print_text};
+use crate::number::{counted, significant};
 use crate::packages::{Facts, PackageBytes};
+use crate::terminal;
 
 /// Arguments of `weights diff`.
 #[derive(Debug, Args)]
@@ -97,13 +99,102 @@ fn change(first: &[f32], second: &[f32]) -> Option<Change> {
     })
 }
 
+/// Longest list of numbers that is shown as it is.
+const SHOWN: usize = 4;
+
+/// Returns what changed between two values of a fact with this name, one entry for each number, word or list.
+fn changes(name: &str, first: &Value, second: &Value) -> Vec<(String, String)> {
+    match (first, second) {
+        (Value::Object(first), Value::Object(second)) => {
+            let both = first.iter().filter_map(|(key, value)| Some((key, value, second.get(key)?)));
+            let changed = both.filter(|(_, first, second)| first != second);
+            changed
+                .flat_map(|(key, first, second)| {
+                    changes(&format!("{name}, {}", heading(key)), first, second)
+                })
+                .collect()
+        }
+        (Value::Array(first), Value::Array(second)) if first.len() == second.len() => {
+            let pairs = || first.iter().zip(second);
+            let numbers = || pairs().filter_map(|(a, b)| Some((a.as_f64()?, b.as_f64()?)));
+            if numbers().count() == first.len() && first.len() > SHOWN {
+                let changed = numbers().filter(|(a, b)| a != b).count();
+                let largest = numbers().fold(0.0f64, |most, (a, b)| most.max((a - b).abs()));
+                let change = format!(
+                    "{changed} of {} numbers changed, by up to {}",
+                    first.len(),
+                    significant(largest, 4)
+                );
+                return vec![(name.to_owned(), change)];
+            }
+            if first.iter().all(Value::is_object) {
+                let one = name.strip_suffix('s').unwrap_or(name);
+                let entries = (1..).zip(pairs()).filter(|(_, (a, b))| a != b);
+                return entries
+                    .flat_map(|(at, (a, b))| changes(&format!("{one} {at}"), a, b))
+                    .collect();
+            }
+            vec![(name.to_owned(), format!("{} -> {}", list(first), list(second)))]
+        }
+        _ => {
+            let in_words = |value: &Value| match (value, name) {
+                (Value::Null, "exchange" | "observer") => "the paper's".to_owned(),
+                _ => in_words(value),
+            };
+            vec![(name.to_owned(), format!("{} -> {}", in_words(first), in_words(second)))]
+        }
+    }
+}
+
+/// Returns a key in words, with its unit if it ends in one.
+fn heading(key: &str) -> String {
+    match key.strip_suffix("_s") {
+        Some(name) => format!("{} [s]", name.replace('_', " ")),
+        None => key.replace('_', " "),
+    }
+}
+
+fn in_words(value: &Value) -> String {
+    match value {
+        Value::Null => "none".to_owned(),
+        Value::Bool(true) => "yes".to_owned(),
+        Value::Bool(false) => "no".to_owned(),
+        Value::Number(number) => match (number.is_f64(), number.as_f64()) {
+            // As written in a scenario, since most are of single precision.
+            (true, Some(number)) if (1e-4..1e6).contains(&number.abs()) => {
+                (number as f32).to_string()
+            }
+            (true, Some(number)) => significant(number, 6),
+            _ => number.to_string(),
+        },
+        Value::String(text) => terminal::one_line(text).into_owned(),
+        Value::Array(entries) => list(entries),
+        Value::Object(entries) => {
+            let present = entries.iter().filter(|(_, value)| !value.is_null());
+            let entries =
+                present.map(|(key, value)| format!("{} {}", heading(key), in_words(value)));
+            entries.collect::<Vec<_>>().join(", ")
+        }
+    }
+}
+
+/// Returns a short list as it is, and of a longer one its length.
+fn list(entries: &[Value]) -> String {
+    if entries.len() > SHOWN || entries.iter().any(Value::is_object) {
+        return counted(entries.len() as u64, "entry", "entries");
+    }
+    format!("[{}]", entries.iter().map(in_words).collect::<Vec<_>>().join(", "))
+}
+
 fn text(report: &Report) -> String {
     if report.identical {
         return format!("{} and {} are identical\n", report.first, report.second);
     }
     let mut text = format!("{} -> {}\n", report.first, report.second);
     for Difference { fact, first, second } in &report.differences {
-        text += &format!("  {:24} {first} -> {second}\n", fact.replace('_', " "));
+        for (name, change) in changes(&heading(fact), first, second) {
+            text += &format!("  {name}: {change}\n");
+        }
     }
     if let Some(change) = &report.inner_parameters {
         text += &format!(
@@ -114,4 +205,40 @@ fn text(report: &Report) -> String {
         text += "  only the test vectors or the signature differ\n";
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn changes_are_named_by_their_place() {
+        let found = |first: Value, second: Value| {
+            let changes = changes("observer", &first, &second).into_iter();
+            changes.map(|(name, change)| format!("{name}: {change}")).collect::<Vec<_>>()
+        };
+        let directions =
+            |radius: f32| json!({ "directions": [{ "radius": 0.5 }, { "radius": radius }] });
+        assert_eq!(
+            found(directions(0.06), directions(0.08)),
+            ["observer, direction 2, radius: 0.06 -> 0.08"]
+        );
+        assert_eq!(
+            found(json!({ "gap_s": null }), json!({ "gap_s": 0.5 })),
+            ["observer, gap [s]: none -> 0.5"]
+        );
+        assert_eq!(found(json!(true), json!(false)), ["observer: yes -> no"]);
+        assert_eq!(found(json!([1, 2]), json!([1, 3])), ["observer: [1, 2] -> [1, 3]"]);
+        assert_eq!(
+            found(json!([0.0, 0.0, 0.0, 0.0, 1.0]), json!([0.0, 0.0, 0.0, 0.0, 3.0])),
+            ["observer: 1 of 5 numbers changed, by up to 2.000"]
+        );
+        assert_eq!(
+            found(json!(null), json!({ "heartbeat_s": 1.5, "gap_s": null })),
+            ["observer: the paper's -> heartbeat [s] 1.5"]
+        );
+        assert_eq!(found(json!([{}, {}]), json!([{}])), ["observer: 2 entries -> 1 entry"]);
+    }
 }

@@ -73,8 +73,8 @@ pub(super) struct Sign {
     /// Replace an existing signature made with another key
     #[arg(long)]
     replace_signature: bool,
-    /// Give the package this epoch: for going back to an earlier network, because nodes accept any
-    /// version of a higher epoch. A package of format 1 becomes one of format 2
+    /// Give the package this package epoch: for going back to an earlier network, because nodes accept
+    /// any version of a higher one. A package of format 1 becomes one of format 2
     #[arg(long)]
     epoch: Option<u32>,
     /// Let a package of format 1 replace any version up to this one once, even if it is older; in

@@ -19,7 +19,7 @@ pub(in crate::commands) struct Arguments {
     /// New version; nodes accept it if it is above that of the package in use
     #[arg(long, visible_alias = "package-version")]
     version: u32,
-    /// New epoch: nodes accept any version of a higher epoch, so this is the way back to an older
+    /// New package epoch: nodes accept any version of a higher one, so this is the way back to an older
     /// network [default: that of the package]
     #[arg(long)]
     epoch: Option<u32>,
@@ -64,7 +64,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         Format::Json => print_json(&report),
         Format::Text => {
             let PackageSummary { bytes, agent, epoch, version } = report.summary;
-            let epoch = if epoch > 0 { format!("epoch {epoch}, ") } else { String::new() };
+            let epoch = if epoch > 0 { format!("package epoch {epoch}, ") } else { String::new() };
             let mut text = format!(
                 "Written to {}: agent {agent}, {epoch}version {version} (was {}), {bytes} bytes, not \
                  signed\n",

@@ -18,6 +18,7 @@ use super::failure::plant_error;
 use super::link::{Link, RunLink};
 use super::sensor::Sensor;
 use super::simulated_plant::SimulatedPlant;
+use super::state_size::StateSize;
 use super::statistics::AgentStatistics;
 use super::traces::{Traces, squared_error};
 use super::{Progress, RunError, RunOptions, RunResult};
@@ -96,11 +97,11 @@ pub(super) fn run(
     let mut truth = scenario.initial_state.clone();
     let mut traces = Traces::of(scenario);
     let mut digest = Fnv::default();
-    let mut largest_state = 0.0f64;
+    let mut state_size = StateSize::new(truth.len());
     simulation.update_life(0);
     simulation.send(0, evaluation.contains(&0), &mut link, &mut digest);
     for tick in 0..steps {
-        largest_state = largest_state.max(truth.iter().fold(0.0, |sum, x| sum + x * x));
+        state_size.note(&truth, evaluation.contains(&tick));
         simulation.note(tick, evaluation.contains(&tick), &truth, &mut traces);
         simulation.step(tick, &truth, &link);
         if let Some(agent) = simulation.diverged() {
@@ -133,7 +134,8 @@ pub(super) fn run(
         traces,
         missed: Vec::new(),
         layers: link.layer_counts(),
-        largest_state: largest_state.sqrt(),
+        largest_state: state_size.largest(),
+        state_deviation: state_size.deviation(),
         bounds: None,
         digest: digest.finish(),
     })

@@ -112,7 +112,7 @@ fn agents_with_different_architectures() {
 
 #[test]
 fn agents_whose_sensors_clocks_links_and_lives_fail() {
-    let mut scenario = many(built_in("field").unwrap(), 0.4);
+    let mut scenario = many(built_in("deployment").unwrap(), 0.4);
     scenario.link.partitions.clear();
     scenario.life = vec![
         Downtime { agent: 5, window: Window { from: 0.1, to: 0.2 }, is_replaced: true },

@@ -28,7 +28,7 @@ impl FileKind {
             let line = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
             let columns = line.split(|&byte| byte == b',');
             let first = columns.clone().next().unwrap_or_default().trim_ascii();
-            [b"agent".as_slice(), b"time [s]", b"form", b"method"].contains(&first)
+            [b"agent".as_slice(), b"time [s]", b"form", b"method", b"seed"].contains(&first)
                 && columns.count() > 1
         },
     };
@@ -54,6 +54,12 @@ impl FileKind {
     /// A PDF document.
     pub const PDF: Self =
         Self { name: "a PDF document", recognises: |bytes| bytes.starts_with(b"%PDF-") };
+
+    /// Whether `path` is a regular file with this kind of content; not if it is empty.
+    #[must_use]
+    pub fn is_at(&self, path: &Path) -> bool {
+        path.metadata().is_ok_and(|found| found.is_file() && found.len() > 0) && self.replaces(path)
+    }
 
     /// Whether a regular file can be replaced by one of this kind: it is empty, or of the same
     /// kind.

@@ -49,6 +49,15 @@ pub enum OutputError {
         /// The kind to be written.
         kind: &'static str,
     },
+    /// A file has the name of a result, but no run or study in its folder wrote it.
+    #[error(
+        "{}: not from a previous run here; refusing to overwrite; move it, or choose another folder with --out",
+        path.display()
+    )]
+    NotOurs {
+        /// The file.
+        path: PathBuf,
+    },
     /// The path is something that a file cannot replace.
     #[error("{}: is {what}; choose a file name", path.display())]
     NotAFile {
@@ -90,6 +99,7 @@ impl OutputError {
         match self {
             Self::Write { path, .. }
             | Self::OtherKind { path, .. }
+            | Self::NotOurs { path }
             | Self::NotAFile { path, .. }
             | Self::NotAFolder { path, .. }
             | Self::Owner { path }
@@ -113,7 +123,13 @@ impl OutputError {
     /// Whether writing was refused because of an existing file, not by the system.
     #[must_use]
     pub fn is_refusal(&self) -> bool {
-        matches!(self, Self::OtherKind { .. } | Self::NotAFile { .. } | Self::Owner { .. })
+        matches!(
+            self,
+            Self::OtherKind { .. }
+                | Self::NotOurs { .. }
+                | Self::NotAFile { .. }
+                | Self::Owner { .. }
+        )
     }
 }
 

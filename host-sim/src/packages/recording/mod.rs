@@ -122,9 +122,21 @@ impl Recording {
     /// # Errors
     /// If the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), OutputError> {
+        self.save_labelled(path, None)
+    }
+
+    /// Writes the samples as a CSV file that says whose they are.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn save_labelled(
+        &self,
+        path: &Path,
+        labels: Option<&SampleLabels<'_>>,
+    ) -> Result<(), OutputError> {
         let weights = self.outer_weights.as_deref().unwrap_or(&[]);
         let time = |index| self.start + index as f64 * self.interval;
-        write_samples(path, &self.samples, time, weights, self.observed.as_ref())
+        write_samples(path, &self.samples, time, weights, self.observed.as_ref(), labels)
     }
 
     /// Reads samples of an agent with `dimension` state components and, if there is a network,
@@ -274,8 +286,19 @@ fn number_hint(text: &str, is_time: bool) -> &'static str {
     "use a finite number, or delete the line"
 }
 
+/// What a file of samples says of them besides their numbers.
+#[derive(Clone, Copy, Debug)]
+pub struct SampleLabels<'l> {
+    /// The agent, from 1.
+    pub agent: usize,
+    /// `dt`. \[s\]
+    pub step: f64,
+    /// Names of the plant's known inputs.
+    pub inputs: &'l [String],
+}
+
 /// Writes `samples` as a CSV file, with the `time` of each and, if any, the outer weights, row-major,
-/// and what was observed.
+/// what was observed, and whose they are.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -285,11 +308,17 @@ pub fn write_samples(
     time: impl Fn(usize) -> f64,
     outer_weights: &[f32],
     observed: Option<&Observed>,
+    labels: Option<&SampleLabels<'_>>,
 ) -> Result<(), OutputError> {
     let (n, width) = (samples.dimension(), samples.width());
     let mut header = vec!["time [s]".to_owned()];
     header.extend((1..=n).map(|c| format!("xhat{c} [state unit]")));
-    header.extend((1..=samples.known_inputs()).map(|c| format!("u{c} [input unit]")));
+    header.extend((0..samples.known_inputs()).map(|place| {
+        match labels.and_then(|labels| labels.inputs.get(place)) {
+            Some(name) => format!("input.{name} [input unit]"),
+            None => format!("u{} [input unit]", place + 1),
+        }
+    }));
     header.extend((1..=n).map(|c| format!("dxhat{c} [state unit/s]")));
     header.extend((0..outer_weights.len()).map(|i| format!("w{}_{}", i / n + 1, i % n + 1)));
     let observed = observed.map(|observed| {
@@ -297,6 +326,9 @@ pub fn write_samples(
         header.push("broadcasts_per_second [1/s]".to_owned());
         [observed.innovation_rms, observed.broadcasts_per_second]
     });
+    if labels.is_some() {
+        header.extend(["agent", "step [s]"].map(str::to_owned));
+    }
     let last = samples.len() - 1;
     write_table(path, &header, 0..=last, |row, index| {
         row.double(time(index))?;
@@ -312,6 +344,10 @@ pub fn write_samples(
         }
         for &number in observed.iter().flatten() {
             if index == last { row.double(number)? } else { row.text("")? }
+        }
+        if let Some(labels) = labels {
+            row.integer(labels.agent as u64)?;
+            row.double(labels.step)?;
         }
         Ok(())
     })

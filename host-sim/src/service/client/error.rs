@@ -67,7 +67,7 @@ pub enum ServiceError {
     },
     /// The node accepts no sealed requests.
     #[error(
-        "the node cannot record an epoch in its flash, so it accepts no sealed requests; power-cycle it, \
+        "the node cannot record a boot epoch in its flash, so it accepts no sealed requests; power-cycle it, \
          and replace the board if that does not help"
     )]
     NoEpoch,

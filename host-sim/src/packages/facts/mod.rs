@@ -1,18 +1,21 @@
 //! The contents of a package, as text and as JSON, whose keys `docs/json.md` lists under `weights inspect`.
 
+mod exchange;
+mod observer;
+
 use std::fmt::Write;
 use std::path::Path;
 
 use agent_core::AgentId;
 use agent_core::agent::exchange::ExchangeParams;
 use agent_core::math::symmetric::SymmetricMatrix;
-use agent_core::observer::field::{Coupling, Direction, FieldParams, FieldWords, HoldKind};
 use agent_core::package::{OnSwitch, SIGNATURE_BLOCK_LENGTH, TrialLimits};
 use serde::Serialize;
 
-use crate::number::significant;
-use crate::packages::{PackageBytes, PackageSummary, with_node_dimension};
+use crate::packages::{PackageBytes, PackageSummary};
 use crate::terminal;
+use exchange::Exchange;
+pub(crate) use observer::Observer;
 
 /// The contents of a package.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -109,7 +112,7 @@ impl Facts {
             trial: package.trial,
             exchange: (node.exchange != ExchangeParams::PAPER)
                 .then(|| Exchange::new(&node.exchange, node.step_size)),
-            observer: Observer::new(node.field, package.dimension(), node.step_size),
+            observer: Observer::new(node, package.dimension()),
             dimension: package.dimension(),
             known_inputs: package.known_inputs,
             layers: architecture
@@ -171,7 +174,7 @@ impl Facts {
             format!(" (may replace versions up to {newest}, if signed)")
         });
         line("version", format!("{}{replaces}", self.summary.version));
-        line("epoch", self.summary.epoch.to_string());
+        line("package epoch", self.summary.epoch.to_string());
         line("agent", self.summary.agent.to_string());
         let layers: Vec<_> =
             self.layers.iter().map(|l| format!("{} {}", l.nodes, l.activation)).collect();
@@ -255,147 +258,16 @@ impl Facts {
         line("test vectors", self.test_vectors.to_string());
         line("exchange", self.exchange.as_ref().map_or("the paper's".to_owned(), Exchange::words));
         line("observer", self.observer.as_ref().map_or("the paper's".to_owned(), Observer::words));
+        for (c, words) in self.observer.iter().flat_map(Observer::directions).enumerate() {
+            line(&format!("  direction {}", c + 1), words);
+        }
         line("limits of the trial", self.trial.as_ref().map_or("none".to_owned(), limits));
         text
     }
 }
 
-/// The field observer of an agent.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Observer {
-    coupling: &'static str,
-    hold: &'static str,
-    uses_network: bool,
-    adapts: bool,
-    /// In hexadecimal.
-    digest: String,
-    half_precision: bool,
-    /// One for each direction.
-    directions: Vec<ObserverDirection>,
-}
-
-/// One direction of the field observer.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-struct ObserverDirection {
-    /// The output that measures it, from 1.
-    output: Option<u8>,
-    announced: bool,
-    gain: f32,
-    radius: f32,
-    /// Frequency of the disturbance. \[rad/s\]
-    frequency: Option<f64>,
-}
-
-impl Observer {
-    fn new(words: &[f32], dimension: usize, step_size: f32) -> Option<Self> {
-        with_node_dimension!(dimension, observer(words, step_size), else None)
-    }
-
-    fn words(&self) -> String {
-        let count = |is: fn(&ObserverDirection) -> bool| {
-            self.directions.iter().filter(|direction| is(direction)).count()
-        };
-        let network = if self.uses_network { "with the network" } else { "without the network" };
-        format!(
-            "field: coupled by {}, {} hold, {network}, digest {}; measures {} and announces {} of {} \
-             directions, radius {}",
-            self.coupling,
-            self.hold,
-            self.digest,
-            count(|direction| direction.output.is_some()),
-            count(|direction| direction.announced),
-            self.directions.len(),
-            self.directions
-                .iter()
-                .map(|direction| significant(direction.radius.into(), 3))
-                .collect::<Vec<_>>()
-                .join(", ")
-        )
-    }
-}
-
-fn observer<const N: usize>(words: &[f32], step_size: f32) -> Option<Observer> {
-    let params = FieldParams::<N>::from_words(FieldWords(words)).ok()?;
-    let direction = |direction: &Direction| ObserverDirection {
-        output: direction.output.map(|output| output.saturating_add(1)),
-        announced: direction.is_announced,
-        gain: match direction.output {
-            Some(_) => direction.root_gain,
-            None => direction.tree_gain,
-        },
-        radius: direction.radius,
-        frequency: (direction.model.rotation_sine != 0.0).then(|| {
-            let model = &direction.model;
-            let (sine, cosine) = (model.rotation_sine.into(), model.rotation_cosine.into());
-            libm::atan2(sine, cosine) / significant_value(step_size)
-        }),
-    };
-    Some(Observer {
-        coupling: match params.options.coupling {
-            Coupling::Held => "held estimates",
-            Coupling::Current => "current estimates",
-            Coupling::Trees => "trees",
-        },
-        hold: match params.options.hold {
-            HoldKind::ZeroOrder => "zero-order",
-            HoldKind::Rate => "rate",
-            HoldKind::Model => "model",
-        },
-        uses_network: params.options.uses_network,
-        adapts: params.options.adapts,
-        digest: format!("{:04x}", params.options.digest),
-        half_precision: params.options.is_half,
-        directions: params.directions.iter().map(direction).collect(),
-    })
-}
-
-/// How an agent copes with links that fail; `None` for what it does not do. \[s\]
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Exchange {
-    heartbeat_s: Option<f64>,
-    gap_s: Option<f64>,
-    repeat_s: Option<f64>,
-    fade_s: Option<[f64; 2]>,
-    delay_s: Option<f64>,
-    smoothing_s: Option<f64>,
-}
-
-impl Exchange {
-    fn new(exchange: &ExchangeParams, step_size: f32) -> Self {
-        let seconds = |steps: u32| f64::from(steps) * significant_value(step_size);
-        let some = |steps: u32| (steps > 0).then(|| seconds(steps));
-        Self {
-            heartbeat_s: some(exchange.heartbeat),
-            gap_s: some(exchange.gap),
-            repeat_s: some(exchange.repeat),
-            fade_s: (exchange.fade_to > 0)
-                .then(|| [seconds(exchange.fade_from), seconds(exchange.fade_to)]),
-            delay_s: some(exchange.delay),
-            smoothing_s: some(exchange.smoothing),
-        }
-    }
-
-    fn words(&self) -> String {
-        let time = |words: &str, time: Option<f64>| {
-            time.map(|time| format!("{words} {} s", significant(time, 4)))
-        };
-        let fade = self.fade_s.map(|[from, to]| {
-            format!("samples fade from {} to {} s", significant(from, 4), significant(to, 4))
-        });
-        let found = [
-            time("heartbeat", self.heartbeat_s),
-            time("gap", self.gap_s),
-            time("events repeated after", self.repeat_s),
-            fade,
-            time("smallest delay", self.delay_s),
-            time("late samples extrapolated by the velocity over", self.smoothing_s),
-        ];
-        found.into_iter().flatten().collect::<Vec<_>>().join(", ")
-    }
-}
-
 /// Returns a number of single precision as its shortest decimal form.
-fn significant_value(value: f32) -> f64 {
+fn decimal(value: f32) -> f64 {
     value.to_string().parse().unwrap_or_else(|_| f64::from(value))
 }
 

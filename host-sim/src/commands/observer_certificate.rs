@@ -1,0 +1,126 @@
+//! What is certified of the field observer: of a run, and before one.
+
+use serde::Serialize;
+
+use agent_core::observer::field::Coupling;
+
+use crate::engine::{RunError, TrainingRecord};
+use crate::flow::Plan;
+use crate::number::significant;
+use crate::packages::facts::Observer;
+use crate::scenario::{Method, Scenario};
+
+use super::certified;
+
+/// The certificate, or why there is none.
+#[derive(Debug, Serialize)]
+pub(super) struct ObserverCertificate {
+    certified: bool,
+    /// Bound on `|e_1|`, all agents stacked, after a long time. \[state unit\]
+    bound: Option<f64>,
+    /// Why nothing is certified.
+    reasons: Vec<String>,
+}
+
+impl ObserverCertificate {
+    /// Returns what is certified with the network in use after these trainings; `None` for the paper's observer, which the
+    /// theorems' checks cover.
+    pub(super) fn new(scenario: &Scenario, trainings: &[TrainingRecord]) -> Option<Self> {
+        let observer = scenario.observer.as_ref()?;
+        let bound = certified::bound(scenario, trainings);
+        let mut reasons = Vec::new();
+        if bound.is_none() {
+            reasons.extend(
+                scenario.trigger.departure().map(|when| format!("agents broadcast {when}")),
+            );
+            let departures = scenario.departures().into_iter().map(str::to_owned);
+            reasons.extend(departures.filter(|clause| !clause.contains("[observer]")));
+            if observer.exchange.is_some() {
+                reasons.push(
+                    "the preset \"robust\" sets gaps, repetitions and a heartbeat".to_owned(),
+                );
+            }
+            if observer.coupling == Coupling::Current {
+                reasons.push("the certificate of current estimates is not computed".to_owned());
+            }
+            if reasons.is_empty() {
+                reasons.push("its inequality does not hold for these gains".to_owned());
+            }
+        }
+        Some(Self { certified: bound.is_some(), bound, reasons })
+    }
+
+    pub(super) fn text(&self) -> String {
+        format!("Field observer: {}\n", self.words())
+    }
+
+    fn words(&self) -> String {
+        match self.bound {
+            Some(bound) => format!(
+                "certified; after a long time |e_1| of all agents together stays below {} (docs/field-observer.md)",
+                significant(bound, 3)
+            ),
+            None => format!("nothing is certified: {}", self.reasons.join("; ")),
+        }
+    }
+}
+
+/// What is known of the field observer before a run.
+#[derive(Debug, Serialize)]
+pub(super) struct ObserverPreview {
+    /// When agents switch to it. \[s\]
+    from: f64,
+    /// Whether a run trains a network, for which the settings are derived again.
+    trained_later: bool,
+    /// The wanted error, if settings follow from it. \[standard deviation\]
+    derived_from_error: Option<f64>,
+    /// Those of agent 1 with the network that it starts with.
+    settings: Observer,
+    #[serde(flatten)]
+    certificate: ObserverCertificate,
+}
+
+impl ObserverPreview {
+    /// Returns `None` for the paper's observer, and for methods with something in place of the network.
+    ///
+    /// # Errors
+    /// The error with which a run ends, because the observer cannot be set up.
+    pub(super) fn new(scenario: &Scenario) -> Result<Option<Self>, RunError> {
+        let is_observer =
+            matches!(scenario.method, Method::Observer | Method::NoNetwork | Method::Untrained);
+        let Some(observer) = scenario.observer.as_ref().filter(|_| is_observer) else {
+            return Ok(None);
+        };
+        let Some(plan) = Plan::new(scenario).map_err(RunError::Observer)? else { return Ok(None) };
+        let package = certified::equipped(scenario, &plan, &[])
+            .ok_or(RunError::ObserverWithoutNetwork)?
+            .map_err(RunError::Observer)?;
+        let node = &package.package().node;
+        let settings = Observer::new(node, scenario.dimension());
+        let settings = settings.ok_or(RunError::ObserverWithoutNetwork)?;
+        let certificate = ObserverCertificate::new(scenario, &[]);
+        let certificate = certificate.ok_or(RunError::ObserverWithoutNetwork)?;
+        let learns = scenario.method == Method::Observer && !scenario.learning.is_empty();
+        let trained_later = observer.network && learns;
+        let derived_from_error = (!observer.is_in_state_units()).then_some(observer.error);
+        let from = observer.from;
+        Ok(Some(Self { from, trained_later, derived_from_error, settings, certificate }))
+    }
+
+    pub(super) fn text(&self) -> String {
+        let source = match self.derived_from_error {
+            Some(error) => format!(
+                "derived from observer.error = {error} and the plant's trajectory, in standard deviations of the state"
+            ),
+            None => "as the scenario sets them".to_owned(),
+        };
+        let mut text = format!("  Field observer from t = {} s, settings {source}:\n", self.from);
+        text.extend(self.settings.shared_words().map(|line| format!("    {line}\n")));
+        text += &format!("    {}\n", self.certificate.words());
+        if self.trained_later {
+            text += "    This is without a trained network. A run derives what is open again from the network that it trains: `run` \
+                     prints the certificate, and `weights inspect` the settings in its packages.\n";
+        }
+        text
+    }
+}
