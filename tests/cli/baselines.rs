@@ -190,7 +190,7 @@ fn a_method_that_fails_or_extrapolates_says_what_fits_it() {
     );
     assert!(failed.ends_with("there is no key to change"), "{failed}");
     let outside = text("extrapolation");
-    assert!(outside.contains("z by up to") && outside.contains("learning.collect"), "{outside}");
+    assert!(outside.contains("z by up to") && outside.contains("learning.collect_to"), "{outside}");
 }
 
 #[test]

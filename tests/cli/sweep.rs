@@ -162,7 +162,7 @@ fn more_seeds_and_initial_states_keep_the_rows_that_are_there() {
     assert!(folder.files("grown") == whole);
     // The command ended while it extended the study: a part of the new table is written.
     fs::write(folder.path("grown/results.csv"), &whole["results.csv"][..400]).unwrap();
-    fs::write(folder.path("grown/results-before.csv"), &small["results.csv"]).unwrap();
+    fs::write(folder.path("grown/.results-before.csv"), &small["results.csv"]).unwrap();
     let [before, done] = run(large, "grown");
     assert!((12..36).contains(&before) && before + done == 36, "{before} and {done}");
     assert!(folder.files("grown") == whole);

@@ -154,6 +154,11 @@ fn cosim_in_qemu_has_the_same_bits_in_the_field() {
     // Agent 2 is down for 300 steps, and misses one in a hundred and those that its clock lacks.
     assert_eq!((compared[0], compared[2]), (4_000, 3_700));
     assert!((3_600..3_680).contains(&compared[1]), "{compared:?}");
+    // A new node in agent 2's place has the first package, without what was learned at 1.2 s.
+    let text = text.replace("from = 1.6\nto = 1.9", "from = 1.6\nto = 1.9\nreplaced = true");
+    folder.write("replaced.toml", &text);
+    let replaced = cosim(&folder, &firmware(), "replaced.toml --steps 2500");
+    assert_eq!((&replaced["mismatches"], &replaced["steps"]), (&0.into(), &2_500.into()));
     // The end of the run finds agent 2 down.
     let cut = cosim(&folder, &firmware(), "early.toml --steps 1700");
     assert_eq!((&cut["mismatches"], &cut["steps"]), (&0.into(), &1_700.into()));

@@ -65,7 +65,7 @@ pub(super) const VOID: u8 = KINDS - 1;
 pub(super) const OTHER_HALF: u8 = u8::MAX;
 
 const FORMAT_1: u8 = 1;
-/// Where records of both formats say which they are. \[byte\]
+/// Offset of the format's number in records of both formats. \[byte\]
 const FORMAT_OFFSET: usize = 4;
 const BODY_LENGTH: usize = RECORD_LENGTH - CHECKSUM_LENGTH;
 const NO_SLOT: u8 = 0xff;
@@ -219,7 +219,7 @@ impl Record {
 
 /// Returns the bytes before the checksum, if that and the format match.
 fn checked(record: &[u8], format: u8) -> Option<&[u8]> {
-    // Most places of a journal are erased; a checksum of each would be most of a boot.
+    // Most places of a journal are erased; computing a checksum of each would take most of a boot.
     (record.get(FORMAT_OFFSET) == Some(&format)).then_some(())?;
     let (body, checksum) = record.split_last_chunk::<CHECKSUM_LENGTH>()?;
     (crc32(&[body]) == u32::from_le_bytes(*checksum)).then_some(body)

@@ -62,8 +62,11 @@ impl Polynomial {
 
     /// Returns how far `x`, shape `[n]`, is outside the range of the training samples in each component, as a share of
     /// its width; nothing before training.
-    pub fn outside<'x>(&'x self, x: &'x [f32]) -> impl Iterator<Item = f32> + 'x {
-        let scaled = x.iter().zip(self.middle.iter().zip(&self.scale));
+    pub fn outside<'x>(
+        &'x self,
+        x: impl Iterator<Item = f32> + 'x,
+    ) -> impl Iterator<Item = f32> + 'x {
+        let scaled = x.zip(self.middle.iter().zip(&self.scale));
         let scaled = scaled.filter(|_| self.degree > 0);
         scaled.map(|(x, (middle, scale))| 0.5 * (((x - middle) * scale).abs() - 1.0).max(0.0))
     }
@@ -204,7 +207,8 @@ mod tests {
         assert_eq!(trained.features(&[9.0], &mut outputs), Some(&[1.0; 4][..]));
         assert_eq!(trained.features(&[1.0, 1.0], &mut outputs), None);
         // The range is 2 wide.
-        let outside = |polynomial: &Polynomial, x| polynomial.outside(&[x]).collect::<Vec<_>>();
+        let outside =
+            |polynomial: &Polynomial, x| polynomial.outside([x].into_iter()).collect::<Vec<_>>();
         assert!(outside(&untrained, 9.0).is_empty());
         assert_eq!([-1.0, 0.5, 3.0].map(|x| outside(&trained, x)), [[0.5], [0.0], [0.5]]);
     }

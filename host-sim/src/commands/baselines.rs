@@ -224,9 +224,9 @@ impl Plan {
         let [no_network, untrained] =
             [Method::NoNetwork, Method::Untrained].map(|method| wanted(Choice::Only(method)));
         let is_same = scenario.observer.is_some();
-        let itself = untrained && !trained;
+        let itself = !trained && (untrained || is_same && no_network);
         let runs = match is_same {
-            true => [no_network && !itself, untrained && trained && !no_network],
+            true => [no_network && trained, untrained && trained && !no_network],
             false => [no_network, untrained && trained],
         };
         Self { runs, itself, is_same }

@@ -95,14 +95,12 @@ impl ObserverPreview {
         let package = certified::equipped(scenario, &plan, &[])
             .ok_or(RunError::ObserverWithoutNetwork)?
             .map_err(RunError::Observer)?;
-        let node = &package.package().node;
-        let settings = Observer::new(node, scenario.dimension());
-        let settings = settings.ok_or(RunError::ObserverWithoutNetwork)?;
+        let settings = Observer::new(&package.package().node, scenario.dimension());
         let certificate = ObserverCertificate::new(scenario, &[]);
-        let certificate = certificate.ok_or(RunError::ObserverWithoutNetwork)?;
+        let (Some(settings), Some(certificate)) = (settings, certificate) else { return Ok(None) };
         let learns = scenario.method == Method::Observer && !scenario.learning.is_empty();
         let trained_later = observer.network && learns;
-        let derived_from_error = (!observer.is_in_state_units()).then_some(observer.error);
+        let derived_from_error = (!observer.is_complete()).then_some(observer.error);
         let from = observer.from;
         Ok(Some(Self { from, trained_later, derived_from_error, settings, certificate }))
     }
@@ -110,16 +108,16 @@ impl ObserverPreview {
     pub(super) fn text(&self) -> String {
         let source = match self.derived_from_error {
             Some(error) => format!(
-                "derived from observer.error = {error} and the plant's trajectory, in standard deviations of the state"
+                "what the scenario leaves out is derived from observer.error = {error} and the plant's trajectory"
             ),
             None => "as the scenario sets them".to_owned(),
         };
-        let mut text = format!("  Field observer from t = {} s, settings {source}:\n", self.from);
+        let mut text = format!("  Field observer from t = {} s, {source}:\n", self.from);
         text.extend(self.settings.shared_words().map(|line| format!("    {line}\n")));
         text += &format!("    {}\n", self.certificate.words());
         if self.trained_later {
-            text += "    This is without a trained network. A run derives what is open again from the network that it trains: `run` \
-                     prints the certificate, and `weights inspect` the settings in its packages.\n";
+            text += "    This is without a trained network. A run derives it again from the network that it trains: `run` prints \
+                     the certificate, and `weights inspect` the settings in its packages.\n";
         }
         text
     }

@@ -56,17 +56,23 @@ fn unused_inputs(scenario: &Scenario) -> Option<String> {
     let has_network =
         scenario.network.is_some() || scenario.agents.iter().any(|agent| agent.package.is_some());
     let goes_without = scenario.method.knows_f() || scenario.method == Method::NoNetwork;
+    let is_left_out = scenario.observer.as_ref().is_some_and(|observer| {
+        // Until then agents run the paper's observer, with its network.
+        !observer.network && observer.from == 0.0
+    });
     let (first, others) = names.split_first()?;
-    if has_network && !goes_without {
+    if has_network && !goes_without && !is_left_out {
         return None;
     }
     let names = others.iter().fold(format!("`{first}`"), |all, name| all + &format!(", `{name}`"));
     let place = if is_written { "plant.derivative does not, and " } else { "" };
     let reason = match has_network {
+        true if is_left_out => "observer.network = false leaves the network out".to_owned(),
         true => format!("method = \"{}\" has no network that would", scenario.method.name()),
         false => "there is no network that would".to_owned(),
     };
-    Some(format!("nothing uses {names} of plant.inputs: {place}{reason}; use or remove it"))
+    let them = if others.is_empty() { "it" } else { "them" };
+    Some(format!("nothing uses {names} of plant.inputs: {place}{reason}; use or remove {them}"))
 }
 
 /// Returns the warnings about `scenario` that do not need a run.
@@ -257,8 +263,8 @@ pub(super) fn extrapolation(scenario: &Scenario, agents: &[AgentStatistics]) -> 
     (!farthest.is_empty()).then(|| {
         format!(
             "regression: the polynomials are used outside the range of their samples in {} % of the evaluated steps, {} of \
-             the range's width; they stay as at its edge there, so their errors say little about polynomials in \
-             general; collect samples over a longer window (learning.collect)",
+             the range's width; beyond it they are constant, so these errors say little about polynomials in \
+             general; collect samples over a longer window (learning.collect_from, learning.collect_to)",
             significant(100.0 * share, 2),
             farthest.join(", "),
         )
@@ -268,12 +274,14 @@ pub(super) fn extrapolation(scenario: &Scenario, agents: &[AgentStatistics]) -> 
 /// Describes an error that makes an agent's estimate useless, or returns `None` if there is none.
 fn useless_estimate(scenario: &Scenario, run: &RunResult) -> Option<String> {
     let (agent, error) = run.useless_estimate()?;
-    let advice = match &scenario.observer {
-        _ if scenario.method.is_kalman() => "lower kalman.radius",
-        None => {
-            "lower the trigger's radius (design.epsilon), or use [observer] where broadcasts are few"
-        }
-        Some(_) => "lower observer.error or observer.radius",
+    let advice = if scenario.method.is_kalman() {
+        "lower kalman.radius"
+    } else if scenario.trigger.departure().is_some() {
+        "lower trigger.every"
+    } else if scenario.observer.is_some() {
+        "lower observer.error or observer.radius"
+    } else {
+        "lower the trigger's radius (design.epsilon), or use [observer] where broadcasts are few"
     };
     Some(format!(
         "agent {agent} has an RMSE of {}, but the state itself is only {} (RMS) from its mean, so an estimate \
@@ -294,7 +302,10 @@ fn without_repetition(warnings: impl Iterator<Item = Warning>, before: &[Warning
 pub(super) fn unstable_run(scenario: &Scenario, checks: &Checks) -> Option<String> {
     let growth = checks.growth.filter(|_| checks.unbounded())?;
     let hint = if checks.design.step.is_stable() {
-        format!("{}, or check the plant", remedy(scenario))
+        match scenario.method {
+            Method::Periodic => remedy(scenario).to_owned(),
+            _ => format!("{}; or check the plant", remedy(scenario)),
+        }
     } else {
         checks.design.step.describe()
     };

@@ -9,6 +9,7 @@
 //! simulation. A node that is down has its process ended, and starts again with its flash.
 
 use std::borrow::Cow;
+use std::io;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -221,7 +222,7 @@ impl<'s, 'r> Lockstep<'s, 'r> {
         let ends = |d: &&Downtime| ticks(d).end == tick && tick < last;
         for downtime in scenario.life.iter().filter(ends) {
             if !self.nodes[downtime.agent].has_ended() {
-                self.boot(downtime.agent, tick)?;
+                self.boot(downtime, tick)?;
             }
         }
         for downtime in scenario.life.iter().filter(|d| ticks(d).start == tick) {
@@ -240,8 +241,14 @@ impl<'s, 'r> Lockstep<'s, 'r> {
         Ok(())
     }
 
-    /// Starts a node that the scenario has had down, with the contents of its flash.
-    fn boot(&mut self, index: usize, tick: Tick) -> Result<(), NodeError> {
+    /// Starts a node that the scenario has had down, with the contents of its flash, or a new one in its place.
+    fn boot(&mut self, downtime: &Downtime, tick: Tick) -> Result<(), NodeError> {
+        let index = downtime.agent;
+        if let Some(remove_flash) = self.setup.remove_flash.filter(|_| downtime.is_replaced) {
+            let failed =
+                |error: io::Error| Fault::Start(format!("its flash cannot be removed: {error}"));
+            remove_flash(index).map_err(|error| self.named(index, failed(error)))?;
+        }
         let board = self.setup.board(index, &self.packages[index])?;
         let node = &mut self.nodes[index];
         node.board = board;

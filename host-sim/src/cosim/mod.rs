@@ -44,6 +44,7 @@ mod relay;
 mod socket;
 mod stopped_node;
 
+use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -81,6 +82,9 @@ pub struct Setup<'s> {
     pub keys: Option<&'s FleetKeys>,
     /// Whether nodes start with erased flash and wait for packages.
     pub erased: bool,
+    /// Removes the flash of an agent's node, from 0, so that its next start is that of a new one. Without it,
+    /// nodes cannot be replaced.
+    pub remove_flash: Option<&'s dyn Fn(usize) -> io::Result<()>>,
     /// Called with notices during the run.
     pub notice: Option<&'s mut dyn FnMut(&Notice<'_>)>,
     /// Ends the run before the next step, and ends every wait for a node.
@@ -90,8 +94,16 @@ pub struct Setup<'s> {
 impl<'s> Setup<'s> {
     /// Creates settings without signatures or notices.
     pub fn new(start: &'s mut Start<'s>, timeout: Duration, stop: &Arc<Stop>) -> Self {
-        let stop = stop.clone();
-        Self { start, timeout, signer: None, keys: None, erased: false, notice: None, stop }
+        Self {
+            start,
+            timeout,
+            signer: None,
+            keys: None,
+            erased: false,
+            remove_flash: None,
+            notice: None,
+            stop: stop.clone(),
+        }
     }
 
     fn board(&mut self, index: usize, package: &PackageBytes) -> Result<Board, NodeError> {
@@ -276,8 +288,8 @@ pub enum CosimError {
     /// Agents that are down at times, in a way that nodes cannot be.
     #[error(
         "scenario {scenario} has agents that are down at times: co-simulation takes emulated nodes down only \
-         while it serves no clients, and does not replace them; leave out --serve, other boards, and \
-         replaced = true, or remove [[life]]"
+         while it serves no clients, and replaces only those whose packages it may write; leave out --serve and \
+         other boards, sign with a private key, or remove [[life]]"
     )]
     Life {
         /// Its name.
@@ -290,7 +302,7 @@ pub enum CosimError {
         path: PathBuf,
         /// The system's error.
         #[source]
-        error: std::io::Error,
+        error: io::Error,
     },
 }
 
@@ -333,8 +345,9 @@ pub fn cosimulate(
     if setup.keys.is_some() && !scenario.delivers_all() {
         return Err(CosimError::KeysOverLinks { scenario: scenario.name });
     }
+    let can_replace = setup.remove_flash.is_some();
     if !scenario.life.is_empty()
-        && (service.is_some() || scenario.life.iter().any(|downtime| downtime.is_replaced))
+        && (service.is_some() || scenario.life.iter().any(|d| d.is_replaced && !can_replace))
     {
         return Err(CosimError::Life { scenario: scenario.name });
     }

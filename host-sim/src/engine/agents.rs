@@ -193,9 +193,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let Some((polynomial, known)) = self.network.as_ref().and_then(Driven::polynomial) else {
             return;
         };
-        let estimate = self.state.estimate();
-        let inputs: Vec<f32> = estimate.iter().chain(known).copied().collect();
-        self.statistics.extrapolation.note(polynomial.outside(&inputs));
+        let inputs = self.state.estimate().iter().chain(known).copied();
+        self.statistics.extrapolation.note(polynomial.outside(inputs));
     }
 
     /// Records that the agent did nothing in a step of the engine.

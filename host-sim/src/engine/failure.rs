@@ -34,7 +34,10 @@ pub fn remedy(scenario: &Scenario) -> &'static str {
         }
         Method::Kalman | Method::ExtendedKalman => "lower kalman.consensus_gain",
         Method::Regression => {
-            "lower the gain of [outer_law], or collect samples over a longer window (learning.collect)"
+            "lower the gain of [outer_law], or collect samples over a longer window (learning.collect_from, learning.collect_to)"
+        }
+        _ if scenario.observer.is_some() => {
+            "lower time.step, observer.tree_gain or observer.bandwidth"
         }
         Method::NoNetwork | Method::KnownModel => "lower time.step or design.gain",
         Method::Observer | Method::Untrained if scenario.trigger.departure().is_some() => {

@@ -587,7 +587,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
                 if evaluated && is_known && !self.down[index] {
                     agent.statistics.error(squared);
                 }
-                if evaluated && self.scenario.method == Method::Regression {
+                if evaluated && self.scenario.method == Method::Regression && !self.down[index] {
                     agent.note_extrapolation();
                 }
             }

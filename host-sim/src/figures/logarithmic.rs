@@ -1,6 +1,6 @@
 //! Logarithmic axes with ticks between the powers of ten.
 //!
-//! As many ticks are labelled as there is room for, at least two; all numbers of an axis are written in full
+//! As many ticks are labelled as there is room for; all numbers of an axis are written in full
 //! (`50`, `100`, `200`), or all with powers of ten (`5·10⁵`, `10⁶`).
 
 use super::axis::{Axis, raised};

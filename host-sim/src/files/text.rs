@@ -13,7 +13,7 @@ const FILE_MAX: u64 = 4 << 30;
 const STREAM_MAX: u64 = 256 << 20;
 
 /// Maximum length of a line. \[byte\]
-const LINE_MAX: usize = 1 << 20;
+pub const LINE_MAX: usize = 1 << 20;
 
 /// Number of bytes in which the header line must end.
 const HEAD: usize = LINE_MAX;

@@ -204,6 +204,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     setup.signer = signing.signer();
     setup.keys = keys.as_ref();
     setup.erased = signing.is_public_only();
+    let remove_flash = |index: usize| match &emulators {
+        Some((_, flash)) => std::fs::remove_file(flash.file(index)),
+        None => Ok(()),
+    };
+    if !setup.erased {
+        setup.remove_flash = Some(&remove_flash);
+    }
     if arguments.serve.is_some() {
         setup.notice = Some(notice);
     }

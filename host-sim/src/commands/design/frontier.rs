@@ -57,6 +57,7 @@ impl Wanted {
     pub(super) fn is_empty(self) -> bool {
         self.error.is_none() && self.rate.is_none()
     }
+
     fn error_kept(self, point: &Point) -> bool {
         let is_kept = |error: f64| self.error.is_none_or(|wanted| error <= wanted);
         point.is_useful && point.error.is_some_and(is_kept)
@@ -85,10 +86,11 @@ impl Wanted {
     fn why_not(self, points: &[Point], deviation: f64) -> String {
         let smallest = |key: fn(&Point) -> Option<f64>, of: &dyn Fn(&Point) -> bool| {
             let found = points.iter().filter(|point| of(point)).filter_map(key).reduce(f64::min);
-            found.map_or("none".to_owned(), |found| significant(found, 3))
+            found.map_or("unknown, since all fail".to_owned(), |found| significant(found, 3))
         };
         let is_useless = |point: &&Point| point.error.is_some() && !point.is_useful;
         let useless = points.iter().filter(is_useless).find(|point| self.rate_kept(point));
+        let useless = useless.filter(|_| self.rate.is_some());
         let relation = useless.map_or(String::new(), |point| {
             format!(
                 "at the radius {} the largest RMSE is {}, but the state itself is only {} (RMS) from its mean, so an \
@@ -98,10 +100,13 @@ impl Wanted {
                 significant(deviation, 3),
             )
         });
+        let other = match self.rate {
+            Some(_) => "train a better network, or use [observer], which needs fewer broadcasts",
+            None => "or train a better network",
+        };
         format!(
-            "{relation}the smallest error is {}, the lowest rate of a useful radius {}; allow more, choose a larger \
-             gain (a larger k2 in [design], or --objective decay), train a better network, or use [observer], \
-             which needs fewer broadcasts",
+            "{relation}the smallest error is {}, the lowest rate of a useful radius is {}; allow more, choose a larger \
+             gain (a larger k2 in [design], or --objective decay), {other}",
             smallest(|point| point.error, &|_| true),
             smallest(|point| point.rate, &|point| point.is_useful),
         )

@@ -93,13 +93,14 @@ impl Cells {
             .map_err(|error| refused(None, &format!("cannot be read: {error}"), hint))?;
         text::check_text(&head).map_err(|(problem, hint)| refused(None, &problem, &hint))?;
         let content = Limited::new(content, POINTS_BYTES_MAX);
+        let too_long = "check the path of --points, or give fewer points";
         let hint = "write a line with keys, and one line of values for each cell";
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(content);
         let invalid = |error: &csv::Error| {
             let line = error.position().map(csv::Position::line);
             match error.kind() {
                 csv::ErrorKind::Io(error) => {
-                    refused(None, &format!("cannot be read: {error}"), hint)
+                    refused(None, &format!("cannot be read: {error}"), too_long)
                 }
                 _ => refused(line, &format!("invalid CSV: {error}"), hint),
             }
@@ -173,7 +174,7 @@ impl Cells {
     ///
     /// # Errors
     /// That of the first cell that is refused, or whose state has a different dimension; or if some cells
-    /// are about a recording and some are not.
+    /// use a recording and some do not.
     pub(super) fn load(
         &self,
         base: &ScenarioSource,
@@ -206,7 +207,7 @@ impl Cells {
             let (first, other) = (in_words(&self.changes(0)?), in_words(&self.changes(other)?));
             let (recorded, simulated) = if is_recorded { (first, other) } else { (other, first) };
             return Err(CommandError::usage(format!(
-                "{recorded} is about a recording, and {simulated} simulates a plant: their results have different \
+                "{recorded} uses a recording, and {simulated} simulates a plant: their results have different \
                  columns; make a study of each"
             )));
         }
@@ -229,7 +230,7 @@ impl Cells {
 pub(super) struct Loaded {
     /// Those that are run.
     pub(super) cells: Vec<Cell>,
-    /// Whether all cells are about a recording; none is otherwise.
+    /// Whether all cells use a recording; otherwise none does.
     pub(super) is_recorded: bool,
     /// Hash of the values of all cells, and of their recordings.
     pub(super) hash: u64,

@@ -1,4 +1,4 @@
-//! `results-before.csv`: the rows of a study that is being extended.
+//! `.results-before.csv`: the rows of a study that is being extended.
 //!
 //! More seeds or initial states put rows between those that are there. So these are set aside in a file
 //! of their own, and `results.csv` is written once more from its first row: each run whose rows are
@@ -13,10 +13,10 @@ use std::path::Path;
 use super::results;
 use super::resume::{Expected, next_line, row_start, unreadable};
 use crate::commands::{CommandError, ErrorCode};
-use crate::files::output::{OutputError, write_result};
+use crate::files::output::{OutputError, write_result, write_whole};
 
 /// Name of the file.
-const NAME: &str = "results-before.csv";
+pub(super) const NAME: &str = ".results-before.csv";
 
 /// Rows by how they begin, up to the number of the agent.
 #[derive(Debug, Default)]
@@ -31,7 +31,7 @@ impl Earlier {
         let file = folder.join(results::NAME);
         earlier.add(&file, expected)?;
         let header = expected.header().unwrap_or_default();
-        write_result(&folder.join(NAME), results::KIND, |file| {
+        write_whole(&folder.join(NAME), results::KIND, |file| {
             file.write_all(header.as_bytes())?;
             earlier.rows.values().try_for_each(|row| file.write_all(row.as_bytes()))
         })?;

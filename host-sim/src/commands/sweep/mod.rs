@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | `results.csv` | a row for each agent of each run, written while the runs go on |
 //! | `scenario.toml`, `sweep.json` | what the results depend on; the same command continues them, or extends them by more seeds and initial states |
-//! | `results-before.csv` | rows of a study that is being extended |
+//! | `.results-before.csv` | rows of a study that is being extended |
 //! | `summary.csv` | mean, median and interval of each cell |
 //! | `tradeoff.svg`, `tradeoff.png` | error against broadcasts |
 //! | `results.parquet` | with `--parquet`: `results.csv` with types |
@@ -249,11 +249,11 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
     if !folder.as_os_str().is_empty() {
         make_folder(&folder)?;
     }
+    let study = Study::of(results.parent().unwrap_or(Path::new("")), &summary);
     let written = write_files(&folder, arguments, &summary, results)?;
-    let study = Study::read(results.parent().unwrap_or(Path::new("")))?.map(|(study, _)| study);
     let report = Report {
         scenario: None,
-        repeat: Repeat::new(study.as_ref(), &summary),
+        repeat: Repeat::new(study.as_ref().map(|(study, _)| study), &summary),
         keys: &summary.keys,
         cells: summary.cells.len(),
         seed: None,
@@ -311,7 +311,8 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     let found = study.find(&folder, &copy)?;
     if found == Found::Smaller {
         Earlier::set_aside(&folder, &runs)?;
-        remove_derived(&folder, &[summary::NAME, "tradeoff.svg", "tradeoff.png"])?;
+        summary::remove(&folder)?;
+        remove_derived(&folder, &["tradeoff.svg", "tradeoff.png"])?;
         remove_derived(&folder, &OPTIONAL)?;
     }
     if found != Found::Same {
@@ -547,9 +548,9 @@ fn result(
     let done = before + outcome.done;
     if outcome.left > 0 {
         let text = format!(
-            "interrupted after {done} of {}, which are in {}; the same command continues",
+            "interrupted after {done} of {}; their rows are in {}, and the same command continues",
             counted(study.runs, "run", "runs"),
-            file.display()
+            file.parent().unwrap_or(file).display()
         );
         return Err(CommandError::new(ErrorCode::Interrupted, text));
     }

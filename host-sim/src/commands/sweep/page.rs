@@ -49,7 +49,7 @@ pub(in crate::commands) fn of_study(folder: &Path) -> Result<Option<String>, Com
         return Ok(None);
     }
     let summary = Summary::read(results)?;
-    let (study, scenario_text) = Study::read(folder)?.unzip();
+    let (study, scenario_text) = Study::of(folder, &summary).unzip();
     let figure = tradeoff(String::new(), &summary);
     let lines = figure.iter().flat_map(|figure| &figure.lines).map(|line| Line {
         name: &line.name,

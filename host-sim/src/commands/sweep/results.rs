@@ -86,7 +86,7 @@ pub(super) struct CellRows {
     start: String,
     /// Number of agents.
     pub(super) agents: usize,
-    /// Whether the study is about a recording.
+    /// Whether the study uses a recording.
     is_recorded: bool,
 }
 

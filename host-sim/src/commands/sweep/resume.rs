@@ -10,6 +10,7 @@ use std::path::Path;
 use super::results;
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::output::{OutputError, destination};
+use crate::files::text::LINE_MAX;
 
 /// How the rows of a study begin.
 pub(super) trait Expected {
@@ -95,14 +96,12 @@ pub(super) fn open(
     Ok((file, run - first))
 }
 
-/// Longest line of a table. \[bytes\]
-const LINE_MAX: u64 = 16 << 20;
-
 /// Reads a line with its end; `false` at the end of the file, or if the line has no end.
 pub(super) fn next_line(reader: &mut impl BufRead, line: &mut String) -> io::Result<bool> {
     line.clear();
     let mut bytes = Vec::new();
-    if io::Read::take(&mut *reader, LINE_MAX).read_until(b'\n', &mut bytes)? as u64 == LINE_MAX {
+    let limit = LINE_MAX as u64;
+    if io::Read::take(&mut *reader, limit).read_until(b'\n', &mut bytes)? as u64 == limit {
         return Err(io::Error::new(io::ErrorKind::InvalidData, "a line is too long"));
     }
     line.push_str(&String::from_utf8_lossy(&bytes));

@@ -33,7 +33,7 @@ pub(super) struct Runs {
     other_states: Vec<Vec<f64>>,
     range: Range<u64>,
     header: Option<String>,
-    /// Whether the study is about a recording.
+    /// Whether the study uses a recording.
     is_recorded: bool,
 }
 
@@ -96,7 +96,7 @@ impl Runs {
         Self { cells, first_cell, first_seed, seeds, other_states, range, header, is_recorded }
     }
 
-    /// Whether the study is about a recording.
+    /// Whether the study uses a recording.
     pub(super) fn is_recorded(&self) -> bool {
         self.is_recorded
     }

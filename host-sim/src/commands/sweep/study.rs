@@ -1,16 +1,17 @@
-//! What a folder with results is about: `sweep.json` and `scenario.toml`.
+//! What describes the results in a folder: `sweep.json` and `scenario.toml`.
 //!
 //! A study is continued only if everything that its results depend on is the same: the scenario
 //! with the changes of `--set`, the cells, seeds and initial states, the part, and the version of this
 //! program. A whole study can also be extended, by more seeds and more initial states: the runs that it
 //! has are then among those of the new one.
 
-use std::io;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::earlier;
 use super::shard::Shard;
+use super::summary::Summary;
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::input::read_limited;
 use crate::files::output::{FileKind, OutputError, write_result};
@@ -73,29 +74,22 @@ impl Study {
     pub(super) const SHARD: &str = "--shard";
 
     /// Returns the study in `folder`, or the one whose parts are in folders there, and the text of its
-    /// scenario; `None` if there is neither.
-    pub(super) fn read(folder: &Path) -> Result<Option<(Self, Option<String>)>, CommandError> {
-        if let Some(found) = Self::described(folder)? {
-            return Ok(Some(found));
-        }
-        let mut firsts = (1..=20).map(|digits| folder.join(format!("shard-{:0digits$}", 1)));
-        let Some(first) = firsts.find(|part| part.join(NAME).is_file()) else {
-            return Ok(None);
+    /// scenario; `None` if there is neither, or if it does not describe the summarised table.
+    pub(super) fn of(folder: &Path, summary: &Summary) -> Option<(Self, Option<String>)> {
+        let whole = || {
+            let mut firsts = (1..=20).map(|digits| folder.join(format!("shard-{:0digits$}", 1)));
+            let (part, text) = Self::described(&firsts.find(|part| part.join(NAME).is_file())?)?;
+            Some((part.whole(), text))
         };
-        Ok(Self::described(&first)?.map(|(part, text)| (part.whole(), text)))
+        let found = Self::described(folder).or_else(whole);
+        found.filter(|(study, _)| study.keys == summary.keys && study.runs == summary.runs())
     }
 
-    fn described(folder: &Path) -> Result<Option<(Self, Option<String>)>, CommandError> {
-        let path = folder.join(NAME);
-        let bytes = match read_limited(&path, BYTES_MAX) {
-            Ok(bytes) => bytes,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(error) => return Err(CommandError::unreadable(&path, error)),
-        };
-        let study = serde_json::from_slice(&bytes)
-            .map_err(|error| CommandError::unreadable(&path, error))?;
+    fn described(folder: &Path) -> Option<(Self, Option<String>)> {
+        let bytes = read_limited(&folder.join(NAME), BYTES_MAX).ok()?;
+        let study = serde_json::from_slice(&bytes).ok()?;
         let text = read_limited(&folder.join(SCENARIO), BYTES_MAX).ok();
-        Ok(Some((study, text.and_then(|text| String::from_utf8(text).ok()))))
+        Some((study, text.and_then(|text| String::from_utf8(text).ok())))
     }
 
     /// Returns the study that this is a part of.
@@ -119,13 +113,16 @@ impl Study {
         let text_before = read_limited(&scenario, BYTES_MAX).unwrap_or_default();
         let text_before = String::from_utf8_lossy(&text_before);
         if before.is_empty() {
-            let is_same = without_files(&text_before) == without_files(text);
-            if !text_before.is_empty() && !is_same {
-                let error =
-                    OutputError::OtherKind { path: scenario, kind: "the scenario of this sweep" };
-                return Err(error.into());
+            let other = |path, kind| Err(OutputError::OtherKind { path, kind }.into());
+            if !text_before.is_empty() && text_before != text {
+                return other(scenario, "the scenario of this sweep");
             }
-            return Ok(Found::Nothing);
+            let earlier = folder.join(earlier::NAME);
+            return if earlier.exists() {
+                other(earlier, "rows of this sweep")
+            } else {
+                Ok(Found::Nothing)
+            };
         }
         let before: Self = serde_json::from_slice(&before).map_err(|_| {
             CommandError::from(OutputError::OtherKind { path: description, kind: KIND.name })
@@ -136,7 +133,7 @@ impl Study {
             differences.push(text_difference(&text_before, &text));
         }
         if differences.is_empty() && before.scenario_hash != self.scenario_hash {
-            let difference = "the recording that drives the agents differs, or plant.file";
+            let difference = "the recording or its path (plant.file) differs";
             differences.push(difference.to_owned());
         }
         if differences.is_empty() {

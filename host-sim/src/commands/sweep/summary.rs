@@ -9,6 +9,7 @@
 //! between neighbouring values. The number of runs without one is counted beside it.
 
 use std::collections::BTreeSet;
+use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
 
@@ -39,6 +40,15 @@ pub(super) const KIND: FileKind = FileKind {
             || line.ends_with(b"innovation_rms_low,innovation_rms_high")
     },
 };
+
+/// Removes the summary of a table that changes from a folder.
+pub(super) fn remove(folder: &Path) -> Result<(), OutputError> {
+    let path = folder.join(NAME);
+    if !path.is_file() || !KIND.is_at(&path) {
+        return Ok(());
+    }
+    fs::remove_file(&path).map_err(|error| OutputError::Write { path, error })
+}
 
 /// Mean, median and interval of some values.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -127,7 +137,7 @@ impl Measures {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Summary {
     pub(super) keys: Vec<String>,
-    /// Whether the study is about a recording.
+    /// Whether the study uses a recording.
     pub(super) is_recorded: bool,
     pub(super) cells: Vec<CellSummary>,
     /// Hash of the whole table, hexadecimal: equal for equal results.

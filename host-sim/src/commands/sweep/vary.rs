@@ -95,7 +95,7 @@ impl Range {
         } else if part >= 1.0 {
             high
         } else if self.is_logarithmic {
-            // No power is outside the range, while high / low can overflow.
+            // Neither power overflows, while high / low can.
             libm::pow(low, 1.0 - part) * libm::pow(high, part)
         } else if (high - low).is_finite() {
             low + part * (high - low)
@@ -145,7 +145,7 @@ fn range(spec: &str) -> Result<Option<Range>, String> {
 /// Splits a list at its commas, but not inside brackets and quotes.
 fn list(spec: &str) -> Result<Vec<String>, String> {
     let (mut values, mut depth, mut quote) = (vec![String::new()], 0usize, None);
-    let wrong = |what: &str| format!("{spec} has {what}; values are separated by commas");
+    let wrong = |what: &str, hint: &str| format!("{spec} has {what}; {hint}");
     let mut is_escaped = false;
     for c in spec.chars() {
         let begins = values.last().is_some_and(|value| value.trim().is_empty());
@@ -157,8 +157,9 @@ fn list(spec: &str) -> Result<Vec<String>, String> {
             }
             (None, '[' | '{' | '(') => depth += 1,
             (None, ']' | '}' | ')') => {
-                depth =
-                    depth.checked_sub(1).ok_or_else(|| wrong("a bracket that is not opened"))?;
+                depth = depth.checked_sub(1).ok_or_else(|| {
+                    wrong("a bracket that is not opened", "remove it, or put the value in quotes")
+                })?;
             }
             // Within a word it is an apostrophe.
             (None, '"' | '\'') if depth > 0 || begins => quote = Some(c),
@@ -172,7 +173,7 @@ fn list(spec: &str) -> Result<Vec<String>, String> {
     }
     if depth > 0 || quote.is_some() {
         let what = if quote.is_some() { "a quote" } else { "a bracket" };
-        return Err(wrong(&format!("{what} that is not closed")));
+        return Err(wrong(&format!("{what} that is not closed"), "close it"));
     }
     let values: Vec<String> = values.into_iter().map(|value| value.trim().to_owned()).collect();
     if values.iter().any(String::is_empty) {

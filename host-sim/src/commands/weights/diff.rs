@@ -141,7 +141,12 @@ fn changes(name: &str, first: &Value, second: &Value) -> Vec<(String, String)> {
                 (Value::Null, "exchange" | "observer") => "the paper's".to_owned(),
                 _ => in_words(value),
             };
-            vec![(name.to_owned(), format!("{} -> {}", in_words(first), in_words(second)))]
+            let (mut before, mut after) = (in_words(first), in_words(second));
+            if before == after {
+                // They differ beyond the digits that are shown.
+                (before, after) = (first.to_string(), second.to_string());
+            }
+            vec![(name.to_owned(), format!("{before} -> {after}"))]
         }
     }
 }
