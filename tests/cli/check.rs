@@ -18,7 +18,7 @@ fn the_field_observer_is_checked_as_far_as_it_is_known() {
         "own measurement",
         "radius of the trigger",
         "certified; after a long time",
-        "derives what is open again",
+        "derives it again from the network",
     ];
     assert!(expected.iter().all(|part| text.contains(part)), "{text}");
     let report = object(&folder.succeed("check mine.toml --format json"));
