@@ -24,6 +24,14 @@ pub fn significant(value: f64, digits: usize) -> String {
     }
 }
 
+/// Formats a time without the rounding errors of a multiple of a step. \[s\]
+#[must_use]
+pub fn seconds(time: f64) -> String {
+    let digits = 12;
+    let short: f64 = format!("{time:.*e}", digits - 1).parse().unwrap_or(time);
+    short.to_string()
+}
+
 /// `1 entry`, `2 entries`.
 #[must_use]
 pub fn counted(count: u64, one: &str, many: &str) -> String {
@@ -32,7 +40,12 @@ pub fn counted(count: u64, one: &str, many: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::significant;
+    use super::{seconds, significant};
+
+    #[test]
+    fn times_have_no_rounding_errors() {
+        assert_eq!([0.205, 1e-3 * 205.0, 40.0, 0.0].map(seconds), ["0.205", "0.205", "40", "0"]);
+    }
 
     #[test]
     fn keeps_digits_at_any_size() {

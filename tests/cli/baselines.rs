@@ -188,9 +188,12 @@ fn a_method_that_fails_or_extrapolates_says_what_fits_it() {
         failed.contains("method periodic failed") && failed.contains("fixed times"),
         "{failed}"
     );
-    assert!(failed.ends_with("there is no key to change"), "{failed}");
+    assert!(failed.ends_with("not a fault of the scenario"), "{failed}");
     let outside = text("extrapolation");
-    assert!(outside.contains("z by up to") && outside.contains("learning.collect_to"), "{outside}");
+    assert!(
+        outside.contains("z by up to") && outside.contains("collect_to of [[learning]]"),
+        "{outside}"
+    );
 }
 
 #[test]

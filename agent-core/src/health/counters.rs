@@ -87,7 +87,7 @@ counters! {
     /// Steps refused because a measurement was not finite.
     measurements_not_finite: "measurements not finite",
     /// Steps refused for any other reason.
-    steps_refused: "steps refused for other reasons",
+    steps_refused: "steps refused for their tick or measurement",
     /// Ticks between two attempted steps.
     skipped_ticks: "ticks skipped",
     /// Broadcasts sooner after the previous one than Theorem 2 allows.
@@ -97,7 +97,7 @@ counters! {
     /// Frames refused because their estimate was outside the plausible region.
     frames_implausible: "implausible frames",
     /// Frames refused for any other reason.
-    frames_refused: "frames refused for other reasons",
+    frames_refused: "frames damaged, repeated or from strangers",
     /// Frames dropped by a step because the held sample was at least as new.
     frames_stale: "frames out of date",
     /// Number of fallbacks to running without the inner network.

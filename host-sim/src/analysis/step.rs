@@ -44,6 +44,8 @@ pub struct StepCheck {
     pub eigenvalue_max: f64,
     /// The limit above which errors grow; `None` if they grow with any step. \[s\]
     pub largest_stable_step: Option<f64>,
+    /// Whether agents use `design.gain` at all, in some part of the run.
+    pub is_used: bool,
 }
 
 impl StepCheck {
@@ -70,13 +72,14 @@ impl StepCheck {
             step_size: scenario.time.step_size,
             eigenvalue_max,
             largest_stable_step: stable.then(|| 2.0 / eigenvalue_max),
+            is_used: scenario.uses_design_gain(),
         }
     }
 
-    /// Whether errors do not grow with this step.
+    /// Whether errors do not grow with this step, or `design.gain` has no part in them.
     #[must_use]
     pub fn is_stable(&self) -> bool {
-        self.largest_stable_step.is_some_and(|largest| self.step_size < largest)
+        !self.is_used || self.largest_stable_step.is_some_and(|largest| self.step_size < largest)
     }
 
     /// Returns the growth of an error per step: the spectral radius of `I - dt G` if it is above 1,
@@ -91,6 +94,9 @@ impl StepCheck {
     pub fn describe(&self) -> String {
         let step = self.step_size;
         match self.largest_stable_step {
+            _ if !self.is_used => {
+                format!("time.step = {step} s; agents do not use design.gain, which would limit it")
+            }
             None => "design.gain has an eigenvalue that is not above 0, so errors grow at any \
                      step; make design.gain positive definite"
                 .to_owned(),

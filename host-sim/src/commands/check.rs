@@ -135,7 +135,9 @@ fn text(
         true => "  together the agents measure the whole state\n",
         false => "  together the agents do NOT measure the whole state\n",
     };
-    if !design.gain.holds() {
+    if !design.departures.is_empty() {
+        // Said above.
+    } else if !design.gain.holds() {
         text += "  Theorem 1: not applicable, because the gain is not a solution\n";
     } else if let Some(bound) = design.ultimate_bound {
         text += &format!(

@@ -154,6 +154,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             let seeds = seeds.as_ref().map(seeds::Report::tables);
             let tables = tables.iter().chain(seeds.iter().flatten());
             let texts = tables.map(|(title, table)| latex(title, table));
+            warnings::print(&warnings);
             let printed = print_text(&texts.collect::<Vec<_>>().join("\n"));
             outcome.and(printed)
         }

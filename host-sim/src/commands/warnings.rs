@@ -127,8 +127,9 @@ pub(super) fn before(scenario: &Scenario, design: &DesignChecks) -> Vec<Warning>
     let outer = to_train.and_then(|n| outer_weights(&n.outer, scenario.dimension()));
     warnings.extend(outer);
     let trained = |agent: &Agent| agent.package.is_some();
+    let trains = scenario.method == Method::Observer && !scenario.learning.is_empty();
     if let Err(error) = scenario.check_for_nodes()
-        && !scenario.learning.is_empty()
+        && trains
     {
         let text = format!("trained packages are not written: {error}");
         warnings.push(Warning::new(WarningCode::SimulationOnly, text));
@@ -264,7 +265,7 @@ pub(super) fn extrapolation(scenario: &Scenario, agents: &[AgentStatistics]) -> 
         format!(
             "regression: the polynomials are used outside the range of their samples in {} % of the evaluated steps, {} of \
              the range's width; beyond it they are constant, so these errors say little about polynomials in \
-             general; collect samples over a longer window (learning.collect_from, learning.collect_to)",
+             general; collect samples over a longer window (collect_from and collect_to of [[learning]])",
             significant(100.0 * share, 2),
             farthest.join(", "),
         )

@@ -4,6 +4,7 @@ use agent_core::Tick;
 
 use super::RunError;
 use crate::analysis::StepCheck;
+use crate::number::significant;
 use crate::plant::{ExpressionFault, Stepper};
 use crate::scenario::{Method, Scenario};
 
@@ -12,7 +13,11 @@ const RUNAWAY: f64 = 1e6;
 
 /// Returns the norm of the plant's state in brackets, if the state is known.
 pub(super) fn norm_in_words(plant_norm: f64) -> String {
-    if plant_norm.is_nan() { String::new() } else { format!(" (|x_0| = {plant_norm:.3e})") }
+    if plant_norm.is_nan() {
+        String::new()
+    } else {
+        format!(" (|x_0| = {})", significant(plant_norm, 4))
+    }
 }
 
 /// Returns a hint for an agent that diverged while the state had this norm.
@@ -29,12 +34,12 @@ pub(super) fn step_hint(plant_norm: f64, step: &StepCheck, remedy: &str) -> Stri
 pub fn remedy(scenario: &Scenario) -> &'static str {
     match scenario.method {
         Method::Periodic => {
-            "this many broadcasts are too few at fixed times, which is a result of the comparison: there is no key to \
-             change"
+            "at fixed times this many broadcasts are too few; that is a result of the comparison, not a fault of the \
+             scenario"
         }
         Method::Kalman | Method::ExtendedKalman => "lower kalman.consensus_gain",
         Method::Regression => {
-            "lower the gain of [outer_law], or collect samples over a longer window (learning.collect_from, learning.collect_to)"
+            "lower the gain of [outer_law], or collect samples over a longer window (collect_from and collect_to of [[learning]])"
         }
         _ if scenario.observer.is_some() => {
             "lower time.step, observer.tree_gain or observer.bandwidth"

@@ -44,6 +44,7 @@ use crate::flow::PlanError;
 use crate::learning::harmonic::Harmonic;
 use crate::learning::quality::Quality;
 use crate::learning::trained::TrainedError;
+use crate::number::seconds;
 use crate::packages::parameter::InScenario;
 use crate::packages::{DraftError, PackageBytes, Recording};
 use crate::plant::RateFault;
@@ -244,8 +245,9 @@ pub enum RunError {
     },
     /// A known input is too large for an agent.
     #[error(
-        "agent {agent}: the known input {name} is {value:e} at t = {time}, too large for single precision; scale \
-         plant.inputs"
+        "agent {agent}: the known input {name} is {value:e} at t = {}, too large for single precision; scale \
+         plant.inputs",
+        seconds(*time)
     )]
     KnownInput {
         /// The agent, from 1.
@@ -280,7 +282,8 @@ pub enum RunError {
     },
     /// An agent could not take its step, and health monitoring is off or cannot recover it.
     #[error(
-        "agent {agent} at t = {time}: {error}{}; {}",
+        "agent {agent} at t = {}: {error}{}; {}",
+        seconds(*time),
         norm_in_words(*plant_norm),
         step_hint(*plant_norm, step, remedy)
     )]
@@ -302,7 +305,10 @@ pub enum RunError {
     #[error(transparent)]
     Expression(Box<RateFault>),
     /// The plant's state is no longer finite in single precision, in which agents measure it.
-    #[error("the plant diverged at t = {time}; lower time.step or change the plant's parameters")]
+    #[error(
+        "the plant diverged at t = {}; lower time.step or change the plant's parameters",
+        seconds(*time)
+    )]
     PlantDiverged {
         /// Time of the divergence. \[s\]
         time: f64,
@@ -338,7 +344,8 @@ pub enum RunError {
     RunObserver(RunObserverError),
     /// The estimate of a Kalman filter overflows.
     #[error(
-        "the Kalman filter of agent {agent} diverged at t = {time}; lower kalman.consensus_gain"
+        "the Kalman filter of agent {agent} diverged at t = {}; lower kalman.consensus_gain",
+        seconds(*time)
     )]
     KalmanDiverged {
         /// The agent, from 1.

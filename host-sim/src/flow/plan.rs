@@ -20,6 +20,7 @@ use super::{
 use crate::analysis::{adjacency_norm, laplacian_norm};
 use crate::basis::substitute;
 use crate::learning::harmonic::Harmonic;
+use crate::number::seconds;
 use crate::packages::{
     Draft, DraftError, PackageBytes, Recording, with_dimension, with_node_dimension,
 };
@@ -74,8 +75,9 @@ pub enum PlanError {
     Expression(Box<RateFault>),
     /// The plant has no finite trajectory.
     #[error(
-        "the plant's state without agents is not finite at t = {time}, so no settings can be derived from it; \
-         lower time.step or change the plant"
+        "the plant's state without agents is not finite at t = {}, so no settings can be derived from it; \
+         lower time.step or change the plant",
+        seconds(*time)
     )]
     Plant {
         /// The time. \[s\]

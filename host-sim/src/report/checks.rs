@@ -25,13 +25,13 @@ pub fn design_text(design: &DesignChecks) -> String {
         ),
         (None, None) => String::new(),
     };
-    let mut text = format!(
-        "  K1 in the matrix inequality: {}\n\
-        \x20 step: {}\n\
-        \x20 trigger: {trigger}\n",
-        design.gain_in_words(),
-        design.step.describe(),
-    );
+    let step = design.step.describe();
+    let mut text = if design.step.is_used {
+        let gain = design.gain_in_words();
+        format!("  K1 in the matrix inequality: {gain}\n  step: {step}\n  trigger: {trigger}\n")
+    } else {
+        format!("  K1 and the event trigger: not in use\n  step: {step}\n")
+    };
     if !design.departures.is_empty() {
         text += "  Theorems 1 and 2: not applicable, because\n";
         text.extend(design.departures.iter().map(|clause| format!("    - {clause}\n")));

@@ -150,12 +150,25 @@ impl Scenario {
             (!self.process_noise.is_empty(), "noise drives the plant (plant.noise)"),
             (self.agents.iter().any(|a| a.clock != clock), "clocks differ ([clock])"),
             (!self.life.is_empty(), "agents are down at times ([[life]])"),
-            (self.observer.is_some(), "agents run the field observer ([observer])"),
+            (self.runs_field_observer(), "agents run the field observer ([observer])"),
             (self.method != Method::Observer, "agents run another method (method)"),
         ]
         .into_iter()
         .filter_map(|(departs, clause)| departs.then_some(clause))
         .collect()
+    }
+
+    /// Whether agents run the field observer at some time.
+    #[must_use]
+    pub fn runs_field_observer(&self) -> bool {
+        self.observer.is_some() && !self.method.is_kalman()
+    }
+
+    /// Whether agents use `design.gain` at some time: until the field observer is in use, and not with a Kalman filter.
+    #[must_use]
+    pub fn uses_design_gain(&self) -> bool {
+        let until = self.observer.as_ref().map_or(f64::INFINITY, |observer| observer.from);
+        !self.method.is_kalman() && until > 0.0
     }
 
     /// Checks that nodes can run what the scenario describes.

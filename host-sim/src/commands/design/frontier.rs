@@ -106,7 +106,7 @@ impl Wanted {
         };
         format!(
             "{relation}the smallest error is {}, the lowest rate of a useful radius is {}; allow more, choose a larger \
-             gain (a larger k2 in [design], or --objective decay), {other}",
+             gain (a larger k2 in [design]), {other}",
             smallest(|point| point.error, &|_| true),
             smallest(|point| point.rate, &|point| point.is_useful),
         )

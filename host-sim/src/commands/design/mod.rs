@@ -252,6 +252,16 @@ fn design(scenario: &Scenario, arguments: &Arguments) -> Result<Designed, Comman
         );
         return Err(CommandError::new(ErrorCode::Scenario, text).about(&arguments.scenario));
     }
+    let wanted = Wanted { error: arguments.max_error, rate: arguments.max_rate };
+    if scenario.observer.is_some() && !wanted.is_empty() {
+        let text = format!(
+            "scenario {}: --max-error and --max-rate choose the radius of the paper's trigger, which agents with \
+             [observer] do not use; set observer.error or observer.radius, as `host-sim frontier` finds them, or \
+             remove [observer]",
+            scenario.name
+        );
+        return Err(CommandError::new(ErrorCode::Scenario, text).about(&arguments.scenario));
+    }
     let gain = solve(scenario, arguments)?;
     let seed = arguments.common.seed;
     let radius = arguments.radius.unwrap_or_else(|| TriggerConstants::new(scenario).radius());
@@ -271,7 +281,6 @@ fn design(scenario: &Scenario, arguments: &Arguments) -> Result<Designed, Comman
     let measured = measure(&changed, seed, "first run")?;
     let chi = chi_bar_max(&measured.1);
     let mut rho = round_up(if chi > 0.0 { chi } else { scenario.design.rho });
-    let wanted = Wanted { error: arguments.max_error, rate: arguments.max_rate };
     let (radius, frontier) = if wanted.is_empty() {
         (radius, Vec::new())
     } else {

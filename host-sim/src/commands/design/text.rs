@@ -14,6 +14,9 @@ pub(super) fn of(scenario: &Scenario, designed: &Designed) -> String {
     let shown = |x: f64| significant(x, 6);
     let step_max = step.largest_stable_step.map_or("none".to_owned(), |step| significant(step, 4));
     let mut text = format!("Design of scenario {}\n", scenario.name);
+    if !scenario.uses_design_gain() {
+        text += "  for the paper's observer; with [observer] from the start, or a Kalman filter, agents use none of these numbers\n";
+    }
     text += &format!(
         "  gain = {}\n\
         \x20 trace {} 1/s, norm {} 1/s, within {} of the optimum\n\

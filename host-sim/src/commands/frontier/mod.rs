@@ -179,6 +179,17 @@ fn wanted(arguments: &Arguments, scenario: &Scenario) -> Result<Vec<Form>, Comma
     if forms.is_empty() {
         forms = Form::DEFAULT.to_vec();
     }
+    if scenario.network.is_none()
+        && let Some(form) = forms.iter().find(|&&form| form != Form::Paper)
+    {
+        let problem = format!(
+            "scenario {}: the form {} needs [network], because a weight package carries the settings of its observer; \
+             add [network], or choose --forms paper",
+            scenario.name,
+            form.name()
+        );
+        return Err(CommandError::new(ErrorCode::Scenario, problem).about(&arguments.scenario));
+    }
     let needs_paper = arguments.target.is_none() && !is_built_in_paper(scenario);
     forms.extend(needs_paper.then_some(Form::Paper));
     forms.extend(forms.contains(&Form::Periodic).then_some(Form::FlowEso));

@@ -115,6 +115,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
             if !run.rows.is_empty() {
                 text += &format!("\n{}", latex(methods::TITLE, &methods::table(&run.rows)));
             }
+            warnings::print(run.warnings_found());
             let printed = print_text(&text);
             outcome.and(printed)
         }

@@ -141,9 +141,9 @@ fn check(folder: &Path, name: &str, before: &BTreeSet<String>) -> Result<(), Out
         Err(_) => return Ok(()),
     };
     match target {
-        None => Err(OutputError::NotAFile { path, what: "a folder or a device" }),
+        None => Err(OutputError::OtherInFolder { path, kind: kind.name }),
         Some(target) if target.exists() && !kind.replaces(&target) => {
-            Err(OutputError::OtherKind { path, kind: kind.name })
+            Err(OutputError::OtherInFolder { path, kind: kind.name })
         }
         Some(target) if kind.is_at(&target) && !before.contains(name) && !shows_origin(name) => {
             Err(OutputError::NotOurs { path })

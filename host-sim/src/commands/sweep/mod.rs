@@ -118,12 +118,12 @@ impl Arguments {
         for format in self.figures.wanted() {
             let (path, kind) = (folder.join(format.file_name("tradeoff")), format.kind());
             if path.exists() && !kind.replaces(&path) {
-                return Err(OutputError::OtherKind { path, kind: kind.name }.into());
+                return Err(OutputError::OtherInFolder { path, kind: kind.name }.into());
             }
         }
         let (path, kind) = (folder.join(summary::NAME), summary::KIND);
         if path.symlink_metadata().is_ok() && !kind.replaces(&path) {
-            return Err(OutputError::OtherKind { path, kind: kind.name }.into());
+            return Err(OutputError::OtherInFolder { path, kind: kind.name }.into());
         }
         if folder.join(study::NAME).exists() || kind.is_at(&path) {
             return Ok(());
@@ -243,13 +243,11 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         None => results.parent().unwrap_or(Path::new("")).to_owned(),
     };
     let summary = Summary::read(results)?;
-    if let Some(text) = summary.incomplete() {
-        terminal::warning(&text);
-    }
     if !folder.as_os_str().is_empty() {
         make_folder(&folder)?;
     }
     let study = Study::of(results.parent().unwrap_or(Path::new("")), &summary);
+    warn(&summary, study.as_ref().map(|(study, _)| study));
     let written = write_files(&folder, arguments, &summary, results)?;
     let report = Report {
         scenario: None,
@@ -284,6 +282,10 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
     }
 }
 
+fn warn(summary: &Summary, study: Option<&Study>) {
+    summary.remarks(study).iter().for_each(terminal::warning);
+}
+
 fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     let start = Instant::now();
     arguments.check_formats()?;
@@ -304,7 +306,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     let file = folder.join(results::NAME);
     if resume::is_foreign(&file) && !folder.join(study::NAME).exists() {
         let kind = results::KIND.name;
-        return Err(OutputError::OtherKind { path: file, kind }.into());
+        return Err(OutputError::OtherInFolder { path: file, kind }.into());
     }
     arguments.check_files(&folder)?;
     let copy = copied(&path.display().to_string(), &text, &folder);
@@ -338,6 +340,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     };
     if arguments.shard.is_whole() && is_complete {
         summary = Summary::read(&file)?;
+        warn(&summary, Some(&study));
         written.push(write_files(&folder, arguments, &summary, &file)?);
     }
     let first_failure = outcome.first_failure.as_ref();

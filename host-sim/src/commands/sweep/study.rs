@@ -74,7 +74,8 @@ impl Study {
     pub(super) const SHARD: &str = "--shard";
 
     /// Returns the study in `folder`, or the one whose parts are in folders there, and the text of its
-    /// scenario; `None` if there is neither, or if it does not describe the summarised table.
+    /// scenario; `None` if there is neither, or if it does not describe the summarised
+    /// table, which may be incomplete.
     pub(super) fn of(folder: &Path, summary: &Summary) -> Option<(Self, Option<String>)> {
         let whole = || {
             let mut firsts = (1..=20).map(|digits| folder.join(format!("shard-{:0digits$}", 1)));
@@ -82,7 +83,7 @@ impl Study {
             Some((part.whole(), text))
         };
         let found = Self::described(folder).or_else(whole);
-        found.filter(|(study, _)| study.keys == summary.keys && study.runs == summary.runs())
+        found.filter(|(study, _)| study.keys == summary.keys && study.runs >= summary.runs())
     }
 
     fn described(folder: &Path) -> Option<(Self, Option<String>)> {
@@ -113,7 +114,7 @@ impl Study {
         let text_before = read_limited(&scenario, BYTES_MAX).unwrap_or_default();
         let text_before = String::from_utf8_lossy(&text_before);
         if before.is_empty() {
-            let other = |path, kind| Err(OutputError::OtherKind { path, kind }.into());
+            let other = |path, kind| Err(OutputError::OtherInFolder { path, kind }.into());
             if !text_before.is_empty() && text_before != text {
                 return other(scenario, "the scenario of this sweep");
             }
@@ -125,7 +126,7 @@ impl Study {
             };
         }
         let before: Self = serde_json::from_slice(&before).map_err(|_| {
-            CommandError::from(OutputError::OtherKind { path: description, kind: KIND.name })
+            CommandError::from(OutputError::OtherInFolder { path: description, kind: KIND.name })
         })?;
         let mut differences = self.differences(&before);
         let (text_before, text) = (without_files(&text_before), without_files(text));

@@ -16,6 +16,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::results::{NUMBER_MAX, keys_of, line};
+use super::study::Study;
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::fnv::Fnv;
 use crate::files::output::{FileKind, OutputError, write_result};
@@ -243,8 +244,55 @@ impl Summary {
         Ok(Self { keys: header[..keys].to_vec(), is_recorded, cells, digest })
     }
 
+    /// Returns what a reader has to know to draw the right conclusions. `study` is what describes the table.
+    pub(super) fn remarks(&self, study: Option<&Study>) -> Vec<String> {
+        let missing = study.filter(|study| study.runs > self.runs()).map(|study| {
+            format!(
+                "the study is not complete: the table has {} of {} runs, and {} of {} cells; let the study run to its end, \
+                 or add the missing parts",
+                self.runs(),
+                study.runs,
+                self.cells.len(),
+                study.cells,
+            )
+        });
+        [missing.or_else(|| self.incomplete()), self.without_effect(), self.without_spread()]
+            .into_iter()
+            .flatten()
+            .collect()
+    }
+
+    /// Says so if all cells have the same results.
+    fn without_effect(&self) -> Option<String> {
+        let (first, others) = self.cells.split_first()?;
+        let is_same = |cell: &CellSummary| {
+            (cell.diverged, &cell.all, &cell.agents) == (first.diverged, &first.all, &first.agents)
+        };
+        let (is_result, keys) = (first.diverged < first.runs, self.keys.join(" and "));
+        (is_result && !others.is_empty() && others.iter().all(is_same)).then(|| {
+            format!(
+                "all {} cells have the same results: {keys} has no effect in this scenario",
+                self.cells.len()
+            )
+        })
+    }
+
+    /// Says so if several runs of each cell have the same results.
+    fn without_spread(&self) -> Option<String> {
+        let is_narrow = |cell: &CellSummary| {
+            let measured = cell.all.all().into_iter().flatten();
+            cell.runs > 1
+                && cell.diverged == 0
+                && measured.clone().count() > 0
+                && measured.clone().all(|interval| interval.low == interval.high)
+        };
+        (!self.cells.is_empty() && self.cells.iter().all(is_narrow)).then(|| {
+            "all runs of a cell have the same results: nothing in this scenario depends on the seed".to_owned()
+        })
+    }
+
     /// Returns what looks incomplete: cells with fewer runs than others.
-    pub(super) fn incomplete(&self) -> Option<String> {
+    fn incomplete(&self) -> Option<String> {
         let most = self.cells.iter().map(|cell| cell.runs).max()?;
         let few = self.cells.iter().find(|cell| cell.runs < most)?;
         let (values, runs) = (few.values.join(", "), few.runs);

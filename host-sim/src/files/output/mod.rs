@@ -49,6 +49,17 @@ pub enum OutputError {
         /// The kind to be written.
         kind: &'static str,
     },
+    /// Something else has the name of a result in a folder for results.
+    #[error(
+        "{}: not {kind}; refusing to overwrite; move it, or choose another folder with --out",
+        path.display()
+    )]
+    OtherInFolder {
+        /// The file.
+        path: PathBuf,
+        /// The kind to be written.
+        kind: &'static str,
+    },
     /// A file has the name of a result, but no run or study in its folder wrote it.
     #[error(
         "{}: not from a previous run here; refusing to overwrite; move it, or choose another folder with --out",
@@ -67,7 +78,7 @@ pub enum OutputError {
         what: &'static str,
     },
     /// A file is where a folder should be.
-    #[error("{}: {} is not a folder; choose another one", path.display(), file.display())]
+    #[error("{}: {} is not a folder; choose another one", path.display(), file_in_words(path, file))]
     NotAFolder {
         /// The folder, or the file in it.
         path: PathBuf,
@@ -92,6 +103,11 @@ pub enum OutputError {
     },
 }
 
+/// Returns the file in place of a folder, which may be the path itself.
+fn file_in_words(path: &Path, file: &Path) -> String {
+    if path == file { "it".to_owned() } else { file.display().to_string() }
+}
+
 impl OutputError {
     /// Returns the path of the file or folder.
     #[must_use]
@@ -99,6 +115,7 @@ impl OutputError {
         match self {
             Self::Write { path, .. }
             | Self::OtherKind { path, .. }
+            | Self::OtherInFolder { path, .. }
             | Self::NotOurs { path }
             | Self::NotAFile { path, .. }
             | Self::NotAFolder { path, .. }
@@ -126,6 +143,7 @@ impl OutputError {
         matches!(
             self,
             Self::OtherKind { .. }
+                | Self::OtherInFolder { .. }
                 | Self::NotOurs { .. }
                 | Self::NotAFile { .. }
                 | Self::Owner { .. }

@@ -37,6 +37,7 @@ pub use parser::ExpressionError;
 pub use program::{STACK_DEPTH_MAX, integer_power};
 
 use super::DIMENSION_MAX;
+use crate::number::seconds;
 use program::Program;
 
 /// Names that a state or a parameter cannot have, in addition to the functions: time and constants.
@@ -55,9 +56,10 @@ pub struct ExpressionSystem {
 /// An expression without a finite value: which one, where, and why.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "expression {} for {component}, `{text}`: {operation} is {}, at t = {time:?}{}; {}",
+    "expression {} for {component}, `{text}`: {operation} is {}, at t = {}{}; {}",
     .index + 1,
     result_in_words(*.result, *.overflow),
+    seconds(*.time),
     values_in_words(.values),
     fault_hint(*.overflow)
 )]
