@@ -54,3 +54,19 @@ fn what_is_not_certified_is_said_with_its_reason() {
     let text = folder.succeed("check mine.toml");
     assert!(text.contains("nothing is certified: the preset \"robust\" sets gaps"), "{text}");
 }
+
+#[test]
+fn a_gain_that_agents_do_not_use_limits_no_step() {
+    // Far above the limit of the paper's observer with this gain, and below that of the field observer's own.
+    let gain = "--set design.gain=[2e6,2e6]";
+    let folder = folder("check-step", "\n[observer]\nfrom = 0.0\nerror = 0.05\n");
+    let text = folder.succeed(&format!("check mine.toml {gain}"));
+    let expected = ["K1 and the event trigger: not in use", "agents do not use design.gain"];
+    assert!(expected.iter().all(|part| text.contains(part)), "{text}");
+    folder.succeed(&format!("run mine.toml {gain} --out out"));
+    // Until the switch agents run the paper's observer, with a step that is too long.
+    let output = folder.run(&format!("check mine.toml {gain} --set observer.from=0.3"));
+    let (text, _) = texts(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("is too long"), "{text}");
+}

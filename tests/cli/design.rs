@@ -94,3 +94,15 @@ fn without_a_solution_the_unseen_direction_is_named() {
     let message = folder.fail("design blind.toml", 1);
     assert!(message.contains("no agent measures x1 - 0.5 x2"), "{message}");
 }
+
+#[test]
+fn a_radius_that_agents_do_not_use_is_not_searched() {
+    let folder = Folder::new("design-observer");
+    folder.write("mine.toml", &(short().text() + "\n[observer]\nerror = 0.05\n"));
+    for option in ["--max-error 0.1", "--max-rate 10"] {
+        let message = folder.fail(&format!("design mine.toml {option}"), 2);
+        assert!(message.contains("set observer.error or observer.radius"), "{message}");
+    }
+    let text = folder.succeed("design mine.toml");
+    assert!(text.contains("agents use none of these numbers"), "{text}");
+}

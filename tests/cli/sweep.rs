@@ -425,3 +425,31 @@ fn a_pdf_is_of_the_table_beside_it_or_not_there() {
     let message = folder.fail(&format!("{small} --out parts --shard 1/2 --pdf"), 2);
     assert!(message.contains("give it with --summarise"), "{message}");
 }
+
+#[test]
+fn what_is_missing_or_has_no_effect_is_said() {
+    let folder = prepared("sweep-remarks");
+    let warnings = |line: &str| {
+        let output = folder.run(line);
+        let (standard, error) = texts(&output);
+        assert_eq!(output.status.code(), Some(0), "{standard}{error}");
+        error
+    };
+    let untrained = "sweep mine.toml --set method=no-network --seeds 3";
+    let idle = warnings(&format!("{untrained} --vary kalman.radius=0.1,0.2 --out idle"));
+    assert!(
+        idle.contains("all 2 cells have the same results: kalman.radius has no effect"),
+        "{idle}"
+    );
+    assert!(idle.contains("nothing in this scenario depends on the seed"), "{idle}");
+    let whole = warnings(&format!("{STUDY} --out out"));
+    assert!(!whole.contains("no effect") && !whole.contains("not complete"), "{whole}");
+    // As an interruption leaves it.
+    let table = text(&folder, "out/results.csv");
+    let rows: String = table.lines().take(1 + 2 * 3).map(|line| format!("{line}\n")).collect();
+    fs::write(folder.path("out/results.csv"), rows).unwrap();
+    let part = warnings("sweep --summarise out/results.csv");
+    assert!(part.contains("the table has 3 of 12 runs, and 2 of 6 cells"), "{part}");
+    folder.succeed("report out");
+    assert!(text(&folder, "out/report.html").contains("\"runs\":12"));
+}

@@ -283,7 +283,8 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
 }
 
 fn warn(summary: &Summary, study: Option<&Study>) {
-    summary.remarks(study).iter().for_each(terminal::warning);
+    let all = study.map(|study| (study.runs, study.cells));
+    summary.remarks(all).iter().for_each(terminal::warning);
 }
 
 fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {

@@ -16,7 +16,6 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::results::{NUMBER_MAX, keys_of, line};
-use super::study::Study;
 use crate::commands::{CommandError, ErrorCode};
 use crate::files::fnv::Fnv;
 use crate::files::output::{FileKind, OutputError, write_result};
@@ -244,16 +243,15 @@ impl Summary {
         Ok(Self { keys: header[..keys].to_vec(), is_recorded, cells, digest })
     }
 
-    /// Returns what a reader has to know to draw the right conclusions. `study` is what describes the table.
-    pub(super) fn remarks(&self, study: Option<&Study>) -> Vec<String> {
-        let missing = study.filter(|study| study.runs > self.runs()).map(|study| {
+    /// Returns what a reader has to know to draw the right conclusions. `all` are the runs and cells of the complete
+    /// study, if they are known.
+    pub(super) fn remarks(&self, all: Option<(u64, usize)>) -> Vec<String> {
+        let missing = all.filter(|&(runs, _)| runs > self.runs()).map(|(runs, cells)| {
             format!(
-                "the study is not complete: the table has {} of {} runs, and {} of {} cells; let the study run to its end, \
+                "the study is not complete: the table has {} of {runs} runs, and {} of {cells} cells; let the study run to its end, \
                  or add the missing parts",
                 self.runs(),
-                study.runs,
                 self.cells.len(),
-                study.cells,
             )
         });
         [missing.or_else(|| self.incomplete()), self.without_effect(), self.without_spread()]

@@ -78,7 +78,7 @@ pub enum OutputError {
         what: &'static str,
     },
     /// A file is where a folder should be.
-    #[error("{}: {} is not a folder; choose another one", path.display(), file_in_words(path, file))]
+    #[error("{}{} is not a folder; choose another one", place_of(path, file), file.display())]
     NotAFolder {
         /// The folder, or the file in it.
         path: PathBuf,
@@ -103,9 +103,9 @@ pub enum OutputError {
     },
 }
 
-/// Returns the file in place of a folder, which may be the path itself.
-fn file_in_words(path: &Path, file: &Path) -> String {
-    if path == file { "it".to_owned() } else { file.display().to_string() }
+/// Returns the path before what is said of the file on it, unless they are the same.
+fn place_of(path: &Path, file: &Path) -> String {
+    if path == file { String::new() } else { format!("{}: ", path.display()) }
 }
 
 impl OutputError {
