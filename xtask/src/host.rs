@@ -83,6 +83,9 @@ pub(crate) fn test() -> Result<TestCount, Failure> {
     Ok(count)
 }
 
+/// What clippy and rustdoc read beyond the default features; the same for both, so that dependencies are checked once.
+const FEATURES: &str = "host-sim/wide,host-sim/parquet";
+
 /// Checks formatting, clippy's lints and the documentation.
 ///
 /// # Errors
@@ -99,13 +102,15 @@ pub(crate) fn lint() -> Result<(), Failure> {
     run(
         "clippy",
         cargo("clippy")
-            .args(["--workspace", "--all-targets", "--features", "host-sim/wide,host-sim/parquet"])
+            .args(["--workspace", "--all-targets", "--features", FEATURES])
             .args(["--", "-D", "warnings"]),
         "follow clippy's suggestion, or allow the lint with a reason",
     )?;
     run(
         "documentation",
-        cargo("doc").args(["--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"),
+        cargo("doc")
+            .args(["--workspace", "--no-deps", "--features", FEATURES])
+            .env("RUSTDOCFLAGS", "-D warnings"),
         "fix the links and code blocks named above",
     )
 }
