@@ -103,7 +103,7 @@ fn a_file_that_only_looks_like_a_result_is_refused_and_kept() {
     folder.write("a.csv", "price list\n");
     assert!(folder.run(&["a.csv"], "3").is_err());
     assert_eq!(folder.read("a.csv"), "price list\n");
-    // An empty file is no loss.
+    // An empty file can be replaced.
     folder.write("a.csv", "");
     folder.run(&["a.csv"], "4").unwrap();
     assert_eq!(folder.read("a.csv"), table("4"));
