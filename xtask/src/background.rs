@@ -47,11 +47,24 @@ impl Background {
         Ok(Self { task, child, log, start: Instant::now(), ended: false })
     }
 
+    /// Waits for the end and prints the output; returns `beside`, the outcome of what ran meanwhile.
+    ///
+    /// # Errors
+    /// That of `beside`, or the task failed.
+    pub(crate) fn finish_after<T>(self, beside: Result<T, Failure>) -> Result<T, Failure> {
+        if let Err(failure) = &beside {
+            eprintln!("{failure}\nwaiting for the end of `{}`", self.task);
+        }
+        let ended = self.finish();
+        let result = beside?;
+        ended.map(|()| result)
+    }
+
     /// Waits for the end and prints the output.
     ///
     /// # Errors
     /// The task failed.
-    pub(crate) fn finish(mut self) -> Result<(), Failure> {
+    fn finish(mut self) -> Result<(), Failure> {
         self.ended = true;
         let status = self.child.wait();
         print!("{}", String::from_utf8_lossy(&fs::read(&self.log).unwrap_or_default()));

@@ -101,15 +101,15 @@ pub(crate) fn cross(debian: bool) -> Result<(), Failure> {
     let compiler = Compiler::find(&wanted, debian)?;
     let (disassembler, linker) = (Disassembler::find(debian)?, Linker::find(debian)?);
     // With all features. `emulate` builds the crates without them for every target, and the libraries below are
-    // compiled with them for the others.
-    let mut check = cargo("check");
-    check.args(["--quiet", "--package", "agent-core", "--package", "firmware-template"]);
-    check.args(["--features", NODE_FEATURES]).args(boards::profile()?);
+    // compiled with them for the others. Built rather than checked: `emulate` then has its dependencies.
+    let mut libraries = cargo("build");
+    libraries.args(["--quiet", "--package", "agent-core", "--package", "firmware-template"]);
+    libraries.args(["--lib", "--features", NODE_FEATURES]).args(boards::profile()?);
     let others = TARGETS.iter().filter(|target| !target.fused);
-    check.args(others.flat_map(|target| ["--target", target.triple]));
+    libraries.args(others.flat_map(|target| ["--target", target.triple]));
     run(
-        "cross-check",
-        compiler.apply(&mut check),
+        "libraries for the other targets",
+        compiler.apply(&mut libraries),
         "see the error above; the node's crates must compile without std",
     )?;
     for target in TARGETS.iter().filter(|target| target.fused) {

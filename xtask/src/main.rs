@@ -82,8 +82,9 @@ Tasks:
           (default 1), and print how many were accepted and how many did harm: every number
           must be 0
   lint    check module cycles, files that are not compiled, features of dependencies that would be built
-          twice, formatting, clippy and documentation; warnings are errors.
-          Clippy reads the workspace, the fuzz targets, and the boards whose firmware CI runs
+          twice, formatting, clippy and documentation, and at the same time `lint-nodes`;
+          warnings are errors
+  lint-nodes  formatting and clippy of the fuzz targets, and clippy of the boards whose firmware CI runs
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (default 10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
           long run. Additions to a corpus are kept in target/fuzz/corpus for later runs.
@@ -123,12 +124,8 @@ fn main() -> ExitCode {
         ["python"] => python::python(debian),
         ["boot"] => boot::boot(debian),
         ["emulate"] => emulate::emulate(debian),
-        ["lint"] => circles::check(step::workspace())
-            .and_then(|()| unreached::check(step::workspace()))
-            .and_then(|()| features::check())
-            .and_then(|()| host::lint())
-            .and_then(|()| firmware::lint(debian))
-            .and_then(|()| fuzz::lint(debian)),
+        ["lint"] => lint(debian),
+        ["lint-nodes"] => firmware::lint(debian).and_then(|()| fuzz::lint(debian)),
         ["firmware", ref rest @ ..] => match firmware::Options::read(rest) {
             Some(options) => firmware::firmware(&options, debian),
             None => return usage(),
@@ -178,13 +175,8 @@ fn test(debian: bool) -> Result<(), Failure> {
     cross::install_tools(debian)?;
     emulate::find_emulators(debian)?;
     let nodes = Background::start("nodes", debian)?;
-    let host = test_host(debian);
-    if let Err(failure) = &host {
-        eprintln!("{failure}\nwaiting for the end of `nodes`");
-    }
-    let nodes = nodes.finish();
-    let count = host?;
-    nodes?;
+    step::give_way();
+    let count = nodes.finish_after(test_host(debian))?;
     boot::boot(debian)?;
     cosim::test(debian)?;
     soak::soak(&soak::Options::default(), debian)?;
@@ -195,10 +187,21 @@ fn test(debian: bool) -> Result<(), Failure> {
 /// Runs everything that needs no compiler for nodes.
 fn test_host(debian: bool) -> Result<host::TestCount, Failure> {
     let count = host::test()?;
-    studies::studies(debian)?;
-    python::python(debian)?;
-    page::page(debian)?;
+    let page = Background::start("page", debian)?;
+    page.finish_after(studies::studies(debian).and_then(|()| python::python(debian)))?;
     Ok(count)
+}
+
+/// Checks everything that is read rather than run.
+fn lint(debian: bool) -> Result<(), Failure> {
+    // Before anything links that a package could replace.
+    cross::install_tools(debian)?;
+    let nodes = Background::start("lint-nodes", debian)?;
+    let host = circles::check(step::workspace())
+        .and_then(|()| unreached::check(step::workspace()))
+        .and_then(|()| features::check())
+        .and_then(|()| host::lint());
+    nodes.finish_after(host)
 }
 
 /// Runs `cross`, `emulate`, and `size` of every board.

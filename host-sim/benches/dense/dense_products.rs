@@ -1,6 +1,6 @@
 //! One dense JᵀJ of the size of a Levenberg–Marquardt iteration on the paper's network, on one core.
 //!
-//! `cargo bench -p dense-products`
+//! `cargo bench --manifest-path host-sim/benches/dense/Cargo.toml`
 //!
 //! These products are a lower bound for solvers with an explicit Jacobian: J of 12,600 × 425
 //! (4,200 samples, 3 outputs) times its transpose, without computing J.
