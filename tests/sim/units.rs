@@ -94,8 +94,6 @@ fn learning_is_independent_of_units() {
     // The largest component moves by 8: 1,000 amplitudes.
     let cases = [
         (1e-6, [0.0; 3]),
-        (1e-3, [0.0; 3]),
-        (1e3, [0.0; 3]),
         (1e6, [0.0; 3]),
         (1.0, [0.0, 0.0, 293.0]),
         (1.0, [100.0; 3]),
