@@ -15,6 +15,7 @@ pub(super) mod page;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod picture;
+mod report;
 mod results;
 mod resume;
 mod runs;
@@ -23,18 +24,17 @@ mod study;
 mod summary;
 mod vary;
 
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
-use serde::Serialize;
 
 use super::output::FigureFormats;
 use super::run_folder::{lock, remove_page, remove_result};
 use super::scenario_source::load_with_text;
 use super::{
-    Changes, CommandError, Common, ErrorCode, TableFormat, initial_states, print_outcome,
-    print_text,
+    Changes, CommandError, Common, TableFormat, initial_states, print_outcome, print_text,
 };
 use crate::figures::{tradeoff, write_all};
 use crate::files::output::{FileKind, OutputError, make_folder};
@@ -42,15 +42,15 @@ use crate::interruption::{self, SecondSignal};
 use crate::number::counted;
 use crate::report::latex::latex;
 use crate::scenario::{Scenario, ScenarioSource, copied};
-use crate::shell::{quoted, shell_word};
 use crate::terminal;
 use cells::{Cells, Loaded};
 use earlier::Earlier;
+use report::{Repeat, Report};
 use results::Results;
-use runs::{Outcome, Runs};
+use runs::Runs;
 use shard::Shard;
 use study::{Found, Study};
-use summary::{CellSummary, Summary};
+use summary::Summary;
 use vary::Vary;
 
 /// Title of the table.
@@ -159,74 +159,6 @@ impl Arguments {
     }
 }
 
-#[derive(Serialize)]
-struct Report<'a> {
-    scenario: Option<&'a str>,
-    #[serde(flatten)]
-    repeat: Repeat,
-    /// The varied keys.
-    keys: &'a [String],
-    /// Number of combinations of their values.
-    cells: usize,
-    seed: Option<u64>,
-    seeds: Option<u64>,
-    initial_states: Option<u64>,
-    shard: Option<&'a str>,
-    /// Number of runs of the study, or of this part of it.
-    runs: u64,
-    /// Of these, the number that was there before.
-    runs_before: u64,
-    runs_done: u64,
-    elapsed_s: f64,
-    /// Time that all threads together spent in runs. \[s\]
-    engine_s: f64,
-    results: String,
-    /// Runs of this command without a result.
-    failed: u64,
-    /// The first of them, and why.
-    first_failure: Option<&'a str>,
-    /// Empty for a part of a study.
-    summary: &'a [CellSummary],
-}
-
-/// What is needed to repeat a study, and to see that it was repeated.
-#[derive(Serialize)]
-struct Repeat {
-    /// Version of the program that the rows are from.
-    host_sim: Option<String>,
-    scenario_hash: Option<String>,
-    /// The words of the command.
-    command: Option<Vec<String>>,
-    /// Hash of the complete table.
-    digest: Option<String>,
-}
-
-impl Repeat {
-    fn new(study: Option<&Study>, summary: &Summary) -> Self {
-        let command = study.map(|study| study.command.clone());
-        Self {
-            host_sim: study.map(|study| study.host_sim.clone()),
-            scenario_hash: study.map(|study| study.scenario_hash.clone()),
-            command: command.filter(|words| !words.is_empty()),
-            digest: (!summary.cells.is_empty()).then(|| summary.digest.clone()),
-        }
-    }
-
-    /// Returns it as lines of text.
-    fn text(&self) -> String {
-        let mut text = String::new();
-        if let Some(digest) = &self.digest {
-            let by = self.host_sim.as_ref().map(|version| format!(", by host-sim {version}"));
-            text += &format!("Digest of the results {digest}{}\n", by.unwrap_or_default());
-        }
-        if let Some(words) = self.command.as_ref().filter(|_| self.digest.is_some()) {
-            let words: Vec<String> = words.iter().map(|word| quoted(word)).collect();
-            text += &format!("Repeat it with: {}\n", words.join(" "));
-        }
-        text
-    }
-}
-
 pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     match (&arguments.summarise, &arguments.scenario) {
         (Some(results), _) => summarise(arguments, results),
@@ -292,10 +224,9 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     arguments.check_formats()?;
     interruption::listen(SecondSignal::Exit);
     let (base, text) = load_with_text(path, &arguments.changes)?;
-    let name = path.display().to_string();
     let cells = cells(arguments)?;
-    let (study, runs) =
-        plan(arguments, &base, &ScenarioSource { name, text: text.clone() }, &cells)?;
+    let source = ScenarioSource { name: path.display().to_string(), text: text.clone() };
+    let (study, runs) = plan(arguments, &base, &source, &cells)?;
     let out = arguments.out.clone();
     let out = out.unwrap_or_else(|| Path::new("out").join(format!("{}-sweep", base.name)));
     let folder = match arguments.shard.is_whole() {
@@ -366,7 +297,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         first_failure: first_failure.as_deref(),
         summary: &summary.cells,
     };
-    let result = result(&study, &outcome, before, &file, &summary);
+    let result = report::outcome(&study, &outcome, before, &file, &summary);
     match arguments.format {
         TableFormat::Json => print_outcome(&report, result),
         TableFormat::Latex => {
@@ -393,7 +324,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
             }
             text += &format!("Written to {}: {}\n", folder.display(), written.join(", "));
             if !arguments.shard.is_whole() {
-                text += &how_to_merge(&out);
+                text += &report::how_to_merge(&out);
             }
             text += &format!(
                 "Scenario {}, {}, {} of {}, {:.1} s\n",
@@ -423,6 +354,12 @@ fn cells(arguments: &Arguments) -> Result<Cells, CommandError> {
         }
     }
     Ok(cells)
+}
+
+/// Returns the name by which a scenario can be read again: of one from a pipe, its copy in the study's folder.
+fn again(name: &str) -> &str {
+    let is_pipe = fs::metadata(name).is_ok_and(|metadata| !metadata.is_file());
+    if is_pipe { "scenario.toml" } else { name }
 }
 
 /// Returns the command that repeats the study, without where it writes and how fast it is.
@@ -490,7 +427,7 @@ fn plan(
         initial_states: states,
         shard: arguments.shard.to_string(),
         runs: part.end - part.start,
-        command: command(arguments, &source.name),
+        command: command(arguments, again(&source.name)),
     };
     Ok((study, Runs::new(own, (seed, seeds), others, part, (header, is_recorded))))
 }
@@ -529,50 +466,4 @@ fn write_files(
         names.push(parquet::NAME.to_owned());
     }
     Ok(names.join(", "))
-}
-
-/// Says how the parts of a study become one table.
-fn how_to_merge(out: &Path) -> String {
-    let folder = shell_word(out);
-    let merged = shell_word(&out.join(results::NAME));
-    format!(
-        "When all parts are complete:\n  cat {folder}/shard-*/{} > {merged}\n  host-sim sweep --summarise \
-         {merged}\n",
-        results::NAME
-    )
-}
-
-fn result(
-    study: &Study,
-    outcome: &Outcome,
-    before: u64,
-    file: &Path,
-    summary: &Summary,
-) -> Result<(), CommandError> {
-    let done = before + outcome.done;
-    if outcome.left > 0 {
-        let text = format!(
-            "interrupted after {done} of {}; their rows are in {}, and the same command continues",
-            counted(study.runs, "run", "runs"),
-            file.parent().unwrap_or(file).display()
-        );
-        return Err(CommandError::new(ErrorCode::Interrupted, text));
-    }
-    let cells = &summary.cells;
-    let has_none = !cells.is_empty() && cells.iter().all(|cell| cell.diverged == cell.runs);
-    let text = match &outcome.first_failure {
-        Some((_, reason)) if before == 0 && (has_none || outcome.failed == study.runs) => {
-            format!("every run failed; the first: {reason}")
-        }
-        Some((_, reason)) if has_none => {
-            format!("every run failed; the first of this call: {reason}")
-        }
-        None if has_none => {
-            "every run failed, in an earlier call; `host-sim run` with the settings of a cell says \
-                             why"
-            .to_owned()
-        }
-        _ => return Ok(()),
-    };
-    Err(CommandError::new(ErrorCode::Run, text))
 }
