@@ -5,7 +5,7 @@ use host_sim::engine::{RunOptions, RunResult, Silent, run};
 use host_sim::scenario::{Method, PAPER, Scenario};
 use serde_json::Value;
 
-use crate::cli::command_line::{Folder, object, short};
+use crate::cli::command_line::{Folder, object, short, texts};
 
 fn simulate(scenario: &Scenario, seed: u64, learning: bool) -> RunResult {
     run(scenario, RunOptions { seed, learning, bounds: false }, &Silent).unwrap()
@@ -171,6 +171,25 @@ fn other_methods_are_listed_with_what_they_know() {
         let error = folder.fail(command, 2);
         assert!(error.contains("for simulation only"), "{error}");
     }
+}
+
+#[test]
+fn a_method_that_cannot_deal_with_a_scenario_is_refused_before_a_run() {
+    let folder = Folder::new("methods-refused");
+    for command in ["check", "run"] {
+        let line = format!("{command} paper --set method=kalman --set clock={{drift=20}}");
+        let output = folder.run(&line);
+        assert_eq!(output.status.code(), Some(1), "{command}");
+        assert!(texts(&output).1.contains("no clocks of their own"), "{command}: {output:?}");
+    }
+}
+
+#[test]
+fn samples_of_an_estimate_that_diverged_are_not_blamed_on_units() {
+    let folder = Folder::new("methods-diverged");
+    let error = folder.fail("run deployment --set method=periodic", 1);
+    assert!(error.contains("its estimates had diverged"), "{error}");
+    assert!(error.contains("too few"), "{error}");
 }
 
 #[test]

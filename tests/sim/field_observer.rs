@@ -203,5 +203,12 @@ fn every_form_keeps_its_errors_with_its_broadcasts() {
         println!("{name}: {broadcasts} {found:?}");
         assert!(broadcasts <= most, "{name}: {broadcasts}");
         assert!(found.iter().zip(errors).all(|(e, most)| *e <= most), "{name}: {found:?}");
+        // What the paper's observer broadcast is not what a package for the field observer promises.
+        let from = scenario.observer.as_ref().map(|observer| observer.from);
+        for training in &result.trainings {
+            let trial = training.package.package().trial;
+            let rate = trial.and_then(|limits| limits.broadcasts_per_second);
+            assert_eq!(rate.is_some(), from == Some(0.0), "{name}: {trial:?}");
+        }
     }
 }

@@ -92,6 +92,7 @@ pub enum PackageError {
 impl core::fmt::Display for PackageError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
+            Self::Length { found: 0, .. } => write!(f, "the package is empty"),
             Self::Length { expected, found } => {
                 write!(f, "invalid package length: {found} bytes, expected {expected}")
             }

@@ -142,14 +142,36 @@ pub(super) fn traffic(result: &RunResult, agents: &[AgentReport]) -> String {
         sum(|agent| Some(agent.bytes_sent)),
         number(Some(airtime)),
     );
-    let did = result.layers.iter().filter(|layer| layer.count > 0);
-    let did: Vec<_> = did.map(|layer| format!("{} {}", layer.layer, layer.count)).collect();
-    if !did.is_empty() {
-        text += &format!("  by layer: {}\n", did.join(", "));
+    for (heading, effects) in [("lost", &LOSSES[..]), ("otherwise", &EFFECTS[..])] {
+        let effects = effects.iter().filter_map(|(layer, what)| {
+            let count = result.layers.iter().find(|did| did.layer == *layer)?.count;
+            (count > 0).then(|| format!("{count} {what}"))
+        });
+        let effects: Vec<_> = effects.collect();
+        if !effects.is_empty() {
+            text += &format!("  {heading}: {}\n", effects.join(", "));
+        }
     }
     text.push('\n');
     text
 }
+
+/// Layers of a link that lose copies of frames, and how.
+const LOSSES: [(&str, &str); 5] = [
+    ("loss", "by independent loss"),
+    ("burst", "in bursts"),
+    ("connection", "over edges that were gone"),
+    ("receiver-down", "because the receiver was down"),
+    ("replaced", "frames replaced by newer ones while they waited for the medium"),
+];
+
+/// The other layers, and what they did.
+const EFFECTS: [(&str, &str); 4] = [
+    ("delay", "delayed"),
+    ("duplicate", "delivered twice"),
+    ("corrupt", "with changed bytes"),
+    ("waiting-steps", "steps of waiting for the medium"),
+];
 
 fn rmse(agent: &AgentReport) -> Option<f64> {
     agent.rmse
@@ -220,6 +242,32 @@ pub(super) fn write_csv(path: &Path, agents: &[AgentReport]) -> Result<(), Outpu
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::link::LayerCount;
+    use crate::engine::{RunOptions, Silent, run};
+    use crate::scenario::{PAPER, Window};
+
+    /// Keys of a link whose medium and layers all have something to do.
+    const BUSY: &str = "loss = 0.3\ndelay = 0.003\nduplicate = 0.2\ncorrupt = 0.2\nrate = 20e3\n\
+                        burst = { to_bad = 0.1, to_good = 0.3 }";
+    const OUTAGES: &str = "[[link.partitions]]\ngroups = [[1], [2, 3]]\nfrom = 0.5\nto = 0.7\n\
+                           [[life]]\nagent = 2\nfrom = 0.2\nto = 0.4";
+
+    #[test]
+    fn the_text_tells_what_every_layer_did() {
+        let text = PAPER.replacen("[link]", &format!("[link]\n{BUSY}"), 1);
+        let text = text.replacen("[evaluation]", &format!("{OUTAGES}\n[evaluation]"), 1);
+        let mut scenario = Scenario::parse("busy.toml", &text).unwrap();
+        scenario.learning.clear();
+        scenario.time.duration = 1.0;
+        scenario.evaluation = Window { from: 0.5, to: 1.0 };
+        let options = RunOptions { seed: 0, learning: false, bounds: false };
+        let result = run(&scenario, options, &Silent).unwrap();
+        let text = traffic(&result, &[]);
+        for LayerCount { layer, count } in result.layers {
+            assert!(count > 0, "{layer} did nothing");
+            assert!(text.contains(&format!(" {count} ")), "{layer}, {count}: {text}");
+        }
+    }
 
     #[test]
     fn the_median_of_an_even_number_is_between_the_middle_two() {

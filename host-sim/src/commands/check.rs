@@ -9,7 +9,7 @@ use super::observer_certificate::ObserverPreview;
 use super::{
     Changes, CommandError, ErrorCode, Format, load_scenario, print_outcome, print_text, warnings,
 };
-use crate::engine::RunError;
+use crate::engine::{self, RunError};
 use crate::number::significant;
 use crate::plant::RateFault;
 use crate::report::checks::{DesignReport, design_text};
@@ -48,7 +48,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let scenario = load_scenario(&arguments.scenario, &arguments.changes)?;
     let design = DesignChecks::new(&scenario);
     let warnings = warnings::before(&scenario, &design);
-    let fault = expression_error(&scenario);
+    let fault = expression_error(&scenario).or_else(|| engine::check_method(&scenario).err());
     let (observer, fault) = match fault.map_or_else(|| ObserverPreview::new(&scenario), Err) {
         Ok(observer) => (observer, None),
         Err(fault) => (None, Some(fault)),

@@ -4,6 +4,8 @@ use agent_core::Tick;
 
 use super::RunError;
 use crate::analysis::StepCheck;
+use crate::flow::plant_course;
+use crate::learning::trained::TrainedError;
 use crate::number::significant;
 use crate::plant::{ExpressionFault, Stepper};
 use crate::scenario::{Method, Scenario};
@@ -27,6 +29,22 @@ pub(super) fn step_hint(plant_norm: f64, step: &StepCheck, remedy: &str) -> Stri
     }
     let more = if step.is_stable() { format!("; {remedy}") } else { String::new() };
     step.describe() + &more
+}
+
+/// Returns why agent `agent` cannot be trained in `cycle`, both from 1.
+pub(super) fn training_error(
+    scenario: &Scenario,
+    agent: usize,
+    cycle: usize,
+    error: TrainedError,
+) -> RunError {
+    let state = plant_course(scenario).ok().map(|course| course.largest());
+    match error.largest().zip(state) {
+        Some((largest, state)) if largest > RUNAWAY * state => {
+            RunError::SamplesDiverged { agent, cycle, largest, state, remedy: remedy(scenario) }
+        }
+        _ => RunError::Training { agent, cycle, error },
+    }
 }
 
 /// Returns what to do if the errors of a scenario's method grow although its step is short enough.

@@ -13,6 +13,7 @@ use agent_core::agent::capture::{Sample, is_due};
 use agent_core::package::Serial;
 use rayon::prelude::*;
 
+use super::failure::training_error;
 use super::run_observer::Switch;
 use super::{Progress, RunError, TrainingRecord};
 use crate::flow::{FleetSamples, Plan, fleet_packages};
@@ -337,8 +338,7 @@ fn groups<'j>(cycles: &[LearningCycle], jobs: Vec<&'j mut Job>) -> Vec<Vec<&'j m
 fn train(context: &Context<'_>, mut group: Vec<&mut Job>) -> Result<Vec<TrainingRecord>, RunError> {
     let Context { scenario, plan, cycles, seed, progress } = *context;
     let (cycle, agent) = (group[0].cycle, group[0].agent);
-    let failed =
-        |error: TrainedError| RunError::Training { agent: agent + 1, cycle: cycle + 1, error };
+    let failed = |error: TrainedError| training_error(scenario, agent + 1, cycle + 1, error);
     let description = &cycles[cycle];
     let recipe = scenario
         .recipe(&description.recipe)

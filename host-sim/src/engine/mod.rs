@@ -44,11 +44,11 @@ use crate::flow::PlanError;
 use crate::learning::harmonic::Harmonic;
 use crate::learning::quality::Quality;
 use crate::learning::trained::TrainedError;
-use crate::number::seconds;
+use crate::number::{seconds, significant};
 use crate::packages::parameter::InScenario;
 use crate::packages::{DraftError, PackageBytes, Recording};
 use crate::plant::RateFault;
-use crate::scenario::LearningCycle;
+use crate::scenario::{LearningCycle, Scenario};
 use crate::training::{EpochReport, TrainingError, TrainingReport};
 use crate::warning::Warning;
 use bounds::Bounds;
@@ -96,6 +96,14 @@ pub struct RunOptions {
     pub learning: bool,
     /// Whether to measure the quantities that the theorems bound.
     pub bounds: bool,
+}
+
+/// Checks, without a run, that the method of a scenario can deal with the scenario.
+///
+/// # Errors
+/// What a run would end with at its start.
+pub fn check_method(scenario: &Scenario) -> Result<(), RunError> {
+    if scenario.method.is_kalman() { kalman::course(scenario).map(drop) } else { Ok(()) }
 }
 
 /// The results of a run.
@@ -325,6 +333,25 @@ pub enum RunError {
         cycle: usize,
         /// The trainer's error.
         error: TrainedError,
+    },
+    /// An agent's estimate had diverged while it collected samples.
+    #[error(
+        "agent {agent} cannot be trained in learning cycle {cycle}: its estimates had diverged, to {} where \
+         the plant stays below {}; {remedy}",
+        significant(*largest, 2),
+        significant(*state, 2)
+    )]
+    SamplesDiverged {
+        /// The agent, from 1.
+        agent: usize,
+        /// The learning cycle, from 1.
+        cycle: usize,
+        /// The largest magnitude in the samples.
+        largest: f64,
+        /// The largest magnitude of a component of the plant's state.
+        state: f64,
+        /// What to do.
+        remedy: &'static str,
     },
     /// A learning cycle names an unknown recipe.
     #[error(

@@ -9,7 +9,7 @@ use agent_core::observer::field::disturbance::Model;
 use agent_core::observer::field::{Coupling, Direction, HoldKind, Options};
 use agent_core::observer::network::Scratch;
 use agent_core::observer::trigger::TriggerParams;
-use agent_core::package::OnSwitch;
+use agent_core::package::{OnSwitch, TrialLimits};
 use agent_core::wire::crc::crc32;
 use agent_core::wire::words::WORDS_MAX;
 
@@ -207,6 +207,12 @@ impl<'s> Plan<'s> {
         }
         // All agents predict samples with the same outer weights.
         draft.on_switch = OnSwitch::Replace;
+        if self.starts_at() > 0 {
+            // The rate was observed with the paper's observer.
+            draft.trial =
+                draft.trial.map(|limits| TrialLimits { broadcasts_per_second: None, ..limits });
+            draft.trial = draft.trial.filter(|limits| *limits != TrialLimits::NONE);
+        }
         Ok(draft.seal()?)
     }
 

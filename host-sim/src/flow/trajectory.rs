@@ -47,6 +47,12 @@ impl Trajectory {
         mean.iter().map(|sum| sum / self.samples() as f64).collect()
     }
 
+    /// Returns the largest magnitude of any component. \[state unit\]
+    #[must_use]
+    pub fn largest(&self) -> f64 {
+        self.states.iter().fold(0.0, |largest, x| largest.max(x.abs()))
+    }
+
     /// Returns the standard deviation of each component, shape `[n]`. \[state unit\]
     #[must_use]
     pub fn deviation(&self) -> Vec<f64> {
@@ -76,6 +82,7 @@ mod tests {
         let trajectory = Trajectory { dimension: 2, step: 0.1, states };
         assert_eq!((trajectory.samples(), trajectory.state(1)), (2, &[3.0, 5.0][..]));
         assert_eq!(trajectory.mean(), [2.0, 5.0]);
+        assert_eq!(trajectory.largest(), 5.0);
         assert_eq!(trajectory.deviation(), [1.0, 0.0]);
         assert_eq!(units(&trajectory.deviation()), [1.0, 1.0]);
     }

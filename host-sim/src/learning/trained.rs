@@ -117,6 +117,16 @@ pub enum TrainedError {
     },
 }
 
+impl TrainedError {
+    /// Returns the largest magnitude in the samples, if the error is about that.
+    pub(crate) fn largest(&self) -> Option<f64> {
+        match *self {
+            Self::Size { largest, .. } | Self::NotFinite { largest, .. } => Some(largest),
+            _ => None,
+        }
+    }
+}
+
 /// Magnitudes whose squares single precision can represent.
 const SIZES: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
 

@@ -77,6 +77,17 @@ struct Simulation<'s> {
     least: f64,
 }
 
+/// Returns the plant's trajectory, which the settings of the filters follow from.
+///
+/// # Errors
+/// The scenario has what the filters cannot deal with, or the plant diverges.
+pub(super) fn course(scenario: &Scenario) -> Result<Trajectory, RunError> {
+    if scenario.agents.iter().any(|agent| agent.clock != ClockSettings::default()) {
+        return Err(RunError::KalmanClock);
+    }
+    plant_course(scenario).map_err(RunError::KalmanSettings)
+}
+
 /// Runs the Kalman filter of a scenario's method.
 ///
 /// # Errors
@@ -87,9 +98,6 @@ pub(super) fn run(
     options: RunOptions,
     progress: &dyn Progress,
 ) -> Result<RunResult, RunError> {
-    if scenario.agents.iter().any(|agent| agent.clock != ClockSettings::default()) {
-        return Err(RunError::KalmanClock);
-    }
     let mut simulation = Simulation::new(scenario, options)?;
     let (time, steps) = (scenario.time, scenario.steps());
     let evaluation = scenario.evaluation.ticks(&time);
@@ -143,7 +151,7 @@ pub(super) fn run(
 
 impl<'s> Simulation<'s> {
     fn new(scenario: &'s Scenario, options: RunOptions) -> Result<Self, RunError> {
-        let course = plant_course(scenario).map_err(RunError::KalmanSettings)?;
+        let course = course(scenario)?;
         let settings = &scenario.kalman;
         let deviation = course.deviation();
         let size = deviation.iter().fold(0.0, |sum, d| sum + d * d).sqrt();
