@@ -21,7 +21,9 @@ use crate::agent::exchange::Exchange;
 use crate::agent::hold::{Hold, HoldSlots, LAG_MAX};
 use crate::agent::inbox::Inbox;
 use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
-use crate::math::numeric::{add_scaled, all_finite, components, components_mut, difference, zeros};
+use crate::math::numeric::{
+    add_scaled, all_finite, components, components_mut, difference, for_each, zeros,
+};
 use crate::math::parameter::ParameterError;
 use crate::observer::features::Features;
 use crate::observer::field::{
@@ -114,19 +116,26 @@ impl<const N: usize, F: Features> Prediction<'_, N, F> {
         })
     }
 
+    /// Extrapolates a sample to `now`. Most are there already.
+    #[inline]
+    fn advance_to(&self, hold: &mut Hold<N>, now: Tick, scratch: &mut Scratch) {
+        let behind = hold.behind(now);
+        if behind > 0 {
+            self.advance(hold, behind, scratch);
+        }
+    }
+
     /// Extrapolates a sample by this many steps, of which at most [`LAG_MAX`] count.
     #[inline(never)]
     fn advance(&self, hold: &mut Hold<N>, all_steps: u32, scratch: &mut Scratch) {
-        let Some(mut announced) = hold.announced().copied().filter(|_| all_steps > 0) else {
-            return;
-        };
+        let Some(announced) = hold.announced().filter(|_| all_steps > 0) else { return };
         let steps = all_steps.min(LAG_MAX);
         let rate = match announced.hold {
             HoldKind::ZeroOrder => zeros(),
             HoldKind::Rate => announced.rate,
             HoldKind::Model => {
-                let mut rate = self.params.disturbance_of(&announced);
-                if self.follows(&announced) {
+                let mut rate = self.params.disturbance_of(announced);
+                if self.follows(announced) {
                     let flow = self.flow(self.outer_weights, hold.estimate(), scratch);
                     add_scaled(&mut rate, 1.0, &flow);
                 }
@@ -139,11 +148,12 @@ impl<const N: usize, F: Features> Prediction<'_, N, F> {
             // A sample that is never renewed must not run away.
             estimate = self.params.limited(&estimate);
         }
-        for _ in 0..steps {
-            self.params.move_on(&mut announced);
-        }
         if all_finite(&estimate) {
-            hold.go_on(estimate, announced, all_steps);
+            // In place: copies of announcements would take a fifth of a step.
+            let announced = hold.go_on(estimate, all_steps);
+            for _ in 0..steps {
+                self.params.move_on(announced);
+            }
         }
     }
 }
@@ -270,9 +280,12 @@ where
                 }
             }
         }
-        for hold in holds.iter_mut().flatten().chain([&mut self.own_hold]) {
-            prediction.advance(hold, hold.behind(tick), scratch);
-        }
+        prediction.advance_to(&mut self.own_hold, tick, scratch);
+        for_each(holds.iter_mut(), |slot| {
+            if let Some(hold) = slot {
+                prediction.advance_to(hold, tick, scratch);
+            }
+        });
 
         // Innovations and corrections, in the coordinates `xi`.
         let estimate = self.estimate;
@@ -375,9 +388,11 @@ where
             self.outer_weights.commit(planned);
         }
         prediction.advance(&mut self.own_hold, 1, scratch);
-        for hold in holds.iter_mut().flatten() {
-            prediction.advance(hold, 1, scratch);
-        }
+        for_each(holds.iter_mut(), |slot| {
+            if let Some(hold) = slot {
+                prediction.advance(hold, 1, scratch);
+            }
+        });
         let sample = Sample { tick, estimate, derivative };
         *feedback = by_feedback;
         self.last_tick = Some(tick);

@@ -181,12 +181,12 @@ impl<const N: usize> Hold<N> {
         Self { goes_on: true, announced, ..self }
     }
 
-    /// Advances by `steps` to this estimate.
+    /// Advances by `steps` to this estimate; returns what is announced with it, to advance, too.
     #[cfg(feature = "field")]
-    pub(crate) fn go_on(&mut self, estimate: StateVector<N>, announced: Announced<N>, steps: u32) {
+    pub(crate) fn go_on(&mut self, estimate: StateVector<N>, steps: u32) -> &mut Announced<N> {
         self.sample = estimate;
-        self.announced = announced;
         self.moved = self.moved.saturating_add(steps);
+        &mut self.announced
     }
 
     /// Returns the steps by which the sample has to advance to belong to `now`: its time in transit, and

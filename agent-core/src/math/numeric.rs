@@ -14,6 +14,7 @@ macro_rules! unrolled {
     ($lane:ident < $count:ident, $body:block) => {
         unrolled!($lane, $count, $body, 0 1 2 3 4 5 6 7 8 9 10 11);
         if $count > crate::NODE_DIMENSION_MAX {
+            #[allow(clippy::needless_range_loop, reason = "a turn as those above")]
             for $lane in crate::NODE_DIMENSION_MAX..$count $body
         }
     };
@@ -114,7 +115,10 @@ pub fn difference<const N: usize>(
 #[inline]
 #[must_use]
 pub fn all_finite<const N: usize>(vector: &SVector<f32, N>) -> bool {
-    components(vector).iter().all(|value| value.is_finite())
+    let values = components(vector);
+    let mut finite = true;
+    unrolled!(lane < N, { finite &= values[lane].is_finite() });
+    finite
 }
 
 /// Returns the square root of a positive number, to within 1 ulp for every normal argument.

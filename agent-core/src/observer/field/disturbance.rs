@@ -66,6 +66,10 @@ impl Model {
     #[must_use]
     pub fn rotated(&self, disturbance: &Disturbance) -> Disturbance {
         let Disturbance { bias, cosine, sine } = *disturbance;
+        if cosine == 0.0 && sine == 0.0 {
+            // Nothing oscillates, as without a harmonic part.
+            return Disturbance { bias, cosine: 0.0, sine: 0.0 };
+        }
         let (c, s) = (self.rotation_cosine, self.rotation_sine);
         let (next_cosine, next_sine) = (c * cosine + s * sine, c * sine - s * cosine);
         Disturbance { bias, cosine: self.limited(next_cosine), sine: self.limited(next_sine) }

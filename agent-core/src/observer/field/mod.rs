@@ -24,7 +24,7 @@ pub use words::{DirectionWords, FieldWords, words_length};
 
 use nalgebra::SMatrix;
 
-use crate::math::numeric::{components, components_mut, zeros};
+use crate::math::numeric::{components, components_mut, unrolled, zeros};
 use crate::math::parameter::ParameterError;
 use crate::wire::frame::WORDS_MAX;
 use crate::{NODE_DIMENSION_MAX, StateVector};
@@ -198,11 +198,15 @@ impl<const N: usize> FieldParams<N> {
     }
 
     /// Returns `xi_c` of a state.
-    #[inline]
+    #[inline(never)]
     #[must_use]
     pub fn coordinate(&self, c: usize, state: &StateVector<N>) -> f32 {
-        let columns = self.transform.data.0.iter().zip(components(state));
-        columns.fold(0.0, |sum, (column, x)| sum + column.get(c).copied().unwrap_or(0.0) * x)
+        let (columns, values) = (&self.transform.data.0, components(state));
+        let mut sum = 0.0;
+        if c < N {
+            unrolled!(lane < N, { sum += columns[lane][c] * values[lane] });
+        }
+        sum
     }
 
     /// Returns the state within the limits, component by component.
@@ -210,14 +214,18 @@ impl<const N: usize> FieldParams<N> {
     #[must_use]
     pub fn limited(&self, state: &StateVector<N>) -> StateVector<N> {
         let mut limited = *state;
-        let limits = components(&self.low).iter().zip(components(&self.high));
-        for (x, (&low, &high)) in components_mut(&mut limited).iter_mut().zip(limits) {
-            if *x < low {
-                *x = low;
-            } else if *x > high {
-                *x = high;
-            }
-        }
+        let (low, high) = (components(&self.low), components(&self.high));
+        let values = components_mut(&mut limited);
+        unrolled!(lane < N, {
+            let value = values[lane];
+            values[lane] = if value < low[lane] {
+                low[lane]
+            } else if value > high[lane] {
+                high[lane]
+            } else {
+                value
+            };
+        });
         limited
     }
 
@@ -225,9 +233,8 @@ impl<const N: usize> FieldParams<N> {
     #[inline(never)]
     pub fn shift(&self, state: &mut StateVector<N>, c: usize, amount: f32) {
         if let Some(column) = self.inverse.data.0.get(c) {
-            for (x, entry) in components_mut(state).iter_mut().zip(column) {
-                *x += amount * entry;
-            }
+            let values = components_mut(state);
+            unrolled!(lane < N, { values[lane] += amount * column[lane] });
         }
     }
 
