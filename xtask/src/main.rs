@@ -52,8 +52,8 @@ Usage: cargo xtask <task> [--debian]
 
 Tasks:
   test    run all tests: the workspace on the host, including doctests, `studies`, `python` and `page`,
-          and at the same time `nodes`; then `boot`, a co-simulation with the emulated board's firmware,
-          and `soak`
+          and at the same time `test-nodes`
+  test-nodes  `nodes`, `boot`, a co-simulation with the emulated board's firmware, and `soak`
   nodes   `cross`, `emulate`, and `size` of every board
   cross   compile the node's libraries for bare metal, check the machine code for fused
           multiply-add and calls of platform math libraries, build every board in
@@ -119,6 +119,7 @@ fn main() -> ExitCode {
             size::size(rest, debian)
         }
         ["nodes"] => nodes(debian),
+        ["test-nodes"] => test_nodes(debian),
         ["studies"] => studies::studies(debian),
         ["page"] => page::page(debian),
         ["python"] => python::python(debian),
@@ -174,12 +175,9 @@ fn test(debian: bool) -> Result<(), Failure> {
     // Before anything links that a package could replace.
     cross::install_tools(debian)?;
     emulate::find_emulators(debian)?;
-    let nodes = Background::start("nodes", debian)?;
+    let nodes = Background::start("test-nodes", debian)?;
     step::give_way();
     let count = nodes.finish_after(test_host(debian))?;
-    boot::boot(debian)?;
-    cosim::test(debian)?;
-    soak::soak(&soak::Options::default(), debian)?;
     println!("tests: {count}");
     Ok(())
 }
@@ -202,6 +200,14 @@ fn lint(debian: bool) -> Result<(), Failure> {
         .and_then(|()| features::check())
         .and_then(|()| host::lint());
     nodes.finish_after(host)
+}
+
+/// Runs everything that needs compilers and emulators for nodes.
+fn test_nodes(debian: bool) -> Result<(), Failure> {
+    nodes(debian)?;
+    boot::boot(debian)?;
+    cosim::test(debian)?;
+    soak::soak(&soak::Options::default(), debian)
 }
 
 /// Runs `cross`, `emulate`, and `size` of every board.
