@@ -1,5 +1,5 @@
-//! One Levenberg–Marquardt iteration on the paper's network, on one core; see `dense_products` for a
-//! baseline.
+//! One Levenberg–Marquardt iteration on the paper's network, on one core; see `dense/dense_products.rs` for
+//! a baseline.
 //!
 //! `cargo bench -p host-sim --bench levenberg_marquardt`
 

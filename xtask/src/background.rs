@@ -55,9 +55,14 @@ impl Background {
         if let Err(failure) = &beside {
             eprintln!("{failure}\nwaiting for the end of `{}`", self.task);
         }
-        let ended = self.finish();
-        let result = beside?;
-        ended.map(|()| result)
+        match (beside, self.finish()) {
+            (Ok(result), ended) => ended.map(|()| result),
+            (Err(failure), Ok(())) => Err(failure),
+            (Err(failure), Err(own)) => {
+                eprintln!("{own}");
+                Err(failure)
+            }
+        }
     }
 
     /// Waits for the end and prints the output.

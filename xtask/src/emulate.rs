@@ -33,7 +33,8 @@ const TAG_M4F: u32 = 3_000;
 /// Instruction budget of a Cortex-M4F for a turn of a node that is flooded, from the beginning of its
 /// period: a period of 1 ms at 64 MHz, so that no step is missed.
 const FLOOD_M4F: u32 = 64_000;
-/// Instruction budgets of a Cortex-M4F for a step of the field observer at the centre of a star of three.
+/// Instruction budgets of a Cortex-M4F for a step of the field observer at the centre of a star of three,
+/// without harmonic disturbances.
 const FIELD_RATE_M4F: u32 = 5_500;
 const FIELD_MODEL_M4F: u32 = 15_000;
 /// Instruction budget of a Cortex-M0, which computes floats in software, for a step.

@@ -10,7 +10,7 @@ use object::{Object, ObjectSection};
 
 use crate::{
     boards::{self, Board},
-    compiler::{Compiler, cross_folder},
+    compiler::{self, Compiler, cross_folder},
     step::{Failure, cargo_in, run},
 };
 
@@ -127,6 +127,15 @@ pub(crate) fn emulated(debian: bool) -> Result<(Board, PathBuf), Failure> {
 /// Boards that clippy reads: those whose firmware CI runs. The crates of the other boards' chips
 /// take twice as long to check as everything else here.
 const LINTED: [&str; 2] = [boards::EMULATED, "stm32f405"];
+
+/// Installs what [`lint`] needs, where that is allowed.
+///
+/// # Errors
+/// It is missing and cannot be installed.
+pub(crate) fn install_for_lint(debian: bool) -> Result<(), Failure> {
+    let boards: Vec<Board> = LINTED.into_iter().map(boards::find).collect::<Result<_, _>>()?;
+    compiler::install_for(&boards::targets(&boards), debian).map(drop)
+}
 
 /// Runs clippy on every variant of these boards.
 ///

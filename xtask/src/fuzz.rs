@@ -129,7 +129,7 @@ fn targets() -> io::Result<Vec<String>> {
 }
 
 /// Makes sure that there is a C++ compiler; returns the triple of this machine.
-fn prepare(debian: bool) -> Result<String, Failure> {
+pub(crate) fn prepare(debian: bool) -> Result<String, Failure> {
     if env::var_os("CXX").is_none() && !on_path("c++") {
         if !packages::allowed(debian) {
             return Err(Failure::new(

@@ -4,7 +4,7 @@ use std::{env, fmt, path::PathBuf};
 
 use crate::{
     boards,
-    step::{Failure, cargo, cargo_in, run, run_reading, target_folder},
+    step::{Failure, cargo, cargo_in, giving_way, run, run_reading, target_folder, workspace},
 };
 
 /// Numbers of tests by result.
@@ -68,6 +68,10 @@ pub(crate) fn simulator() -> Result<PathBuf, Failure> {
 /// A test failed, or no test ran.
 pub(crate) fn test() -> Result<TestCount, Failure> {
     let mut count = TestCount::default();
+    // Only the build: tests have deadlines.
+    let mut build = cargo("test");
+    build.args(["--quiet", "--workspace", "--no-run"]);
+    run("the tests' programs", &mut giving_way(&build), "see the error above")?;
     run_reading(
         "tests on the host",
         cargo("test").args(["--workspace", "--no-fail-fast"]),
@@ -99,6 +103,11 @@ pub(crate) fn lint() -> Result<(), Failure> {
             "run `cargo fmt` in the board's folder",
         )?;
     }
+    run(
+        "formatting of the dense products",
+        cargo_in(&workspace().join("host-sim/benches/dense"), "fmt").args(["--", "--check"]),
+        "run `cargo fmt` in host-sim/benches/dense",
+    )?;
     run(
         "clippy",
         cargo("clippy")

@@ -53,7 +53,7 @@ Usage: cargo xtask <task> [--debian]
 Tasks:
   test    run all tests: the workspace on the host, including doctests, `studies`, `python` and `page`,
           and at the same time `test-nodes`
-  test-nodes  `nodes`, `boot`, a co-simulation with the emulated board's firmware, and `soak`
+  test-nodes  run `nodes`, `boot`, a co-simulation with the emulated board's firmware, and `soak`
   nodes   `cross`, `emulate`, and `size` of every board
   cross   compile the node's libraries for bare metal, check the machine code for fused
           multiply-add and calls of platform math libraries, build every board in
@@ -84,7 +84,8 @@ Tasks:
   lint    check module cycles, files that are not compiled, features of dependencies that would be built
           twice, formatting, clippy and documentation, and at the same time `lint-nodes`;
           warnings are errors
-  lint-nodes  formatting and clippy of the fuzz targets, and clippy of the boards whose firmware CI runs
+  lint-nodes  check formatting and clippy's lints of the fuzz targets, and clippy's lints of the boards
+          whose firmware CI runs
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (default 10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
           long run. Additions to a corpus are kept in target/fuzz/corpus for later runs.
@@ -176,7 +177,6 @@ fn test(debian: bool) -> Result<(), Failure> {
     cross::install_tools(debian)?;
     emulate::find_emulators(debian)?;
     let nodes = Background::start("test-nodes", debian)?;
-    step::give_way();
     let count = nodes.finish_after(test_host(debian))?;
     println!("tests: {count}");
     Ok(())
@@ -193,7 +193,8 @@ fn test_host(debian: bool) -> Result<host::TestCount, Failure> {
 /// Checks everything that is read rather than run.
 fn lint(debian: bool) -> Result<(), Failure> {
     // Before anything links that a package could replace.
-    cross::install_tools(debian)?;
+    firmware::install_for_lint(debian)?;
+    fuzz::prepare(debian)?;
     let nodes = Background::start("lint-nodes", debian)?;
     let host = circles::check(step::workspace())
         .and_then(|()| unreached::check(step::workspace()))

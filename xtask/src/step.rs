@@ -6,7 +6,7 @@ use std::{
     fmt, fs,
     io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
-    process::{self, Command, Stdio},
+    process::{Command, Stdio},
     time::Instant,
 };
 
@@ -158,11 +158,20 @@ fn supervise(
     Ok(())
 }
 
-/// Gives way to processes that have been started before: the longest chain of steps then ends first, and what can
-/// use every core fills the rest. Where there is no `renice` it only takes longer.
-pub(crate) fn give_way() {
-    let own = process::id().to_string();
-    let _ = ask(Command::new("renice").args(["-n", "5", "-p", &own]));
+/// Lets a command give way to others: the longest chain of steps then ends first, and what can use every core
+/// fills the rest. Where there is no `nice` the command stays as it is.
+pub(crate) fn giving_way(command: &Command) -> Command {
+    let nice: &[&str] = if on_path("nice") { &["nice", "-n", "5"] } else { &[] };
+    let words =
+        nice.iter().map(OsStr::new).chain([command.get_program()]).chain(command.get_args());
+    let words: Vec<&OsStr> = words.collect();
+    let mut polite = Command::new(words[0]);
+    polite.args(&words[1..]);
+    polite.envs(command.get_envs().filter_map(|(name, value)| Some((name, value?))));
+    if let Some(folder) = command.get_current_dir() {
+        polite.current_dir(folder);
+    }
+    polite
 }
 
 /// Runs a command and returns its standard output, or `None` if it fails.

@@ -128,7 +128,7 @@ impl<const N: usize, F: Features> Prediction<'_, N, F> {
     /// Extrapolates a sample by this many steps, of which at most [`LAG_MAX`] count.
     #[inline(never)]
     fn advance(&self, hold: &mut Hold<N>, all_steps: u32, scratch: &mut Scratch) {
-        let Some(announced) = hold.announced().filter(|_| all_steps > 0) else { return };
+        let Some(announced) = hold.announced() else { return };
         let steps = all_steps.min(LAG_MAX);
         let rate = match announced.hold {
             HoldKind::ZeroOrder => zeros(),

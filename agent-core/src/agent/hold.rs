@@ -181,8 +181,10 @@ impl<const N: usize> Hold<N> {
         Self { goes_on: true, announced, ..self }
     }
 
-    /// Advances by `steps` to this estimate; returns what is announced with it, to advance, too.
+    /// Advances by `steps` to this estimate; returns the announcement, which the caller has to advance by as
+    /// many.
     #[cfg(feature = "field")]
+    #[must_use]
     pub(crate) fn go_on(&mut self, estimate: StateVector<N>, steps: u32) -> &mut Announced<N> {
         self.sample = estimate;
         self.moved = self.moved.saturating_add(steps);

@@ -14,7 +14,7 @@ macro_rules! unrolled {
     ($lane:ident < $count:ident, $body:block) => {
         unrolled!($lane, $count, $body, 0 1 2 3 4 5 6 7 8 9 10 11);
         if $count > crate::NODE_DIMENSION_MAX {
-            #[allow(clippy::needless_range_loop, reason = "a turn as those above")]
+            #[allow(clippy::needless_range_loop, reason = "the form of the turns above")]
             for $lane in crate::NODE_DIMENSION_MAX..$count $body
         }
     };

@@ -142,36 +142,42 @@ pub(super) fn traffic(result: &RunResult, agents: &[AgentReport]) -> String {
         sum(|agent| Some(agent.bytes_sent)),
         number(Some(airtime)),
     );
-    for (heading, effects) in [("lost", &LOSSES[..]), ("otherwise", &EFFECTS[..])] {
-        let effects = effects.iter().filter_map(|(layer, what)| {
-            let count = result.layers.iter().find(|did| did.layer == *layer)?.count;
-            (count > 0).then(|| format!("{count} {what}"))
-        });
-        let effects: Vec<_> = effects.collect();
-        if !effects.is_empty() {
-            text += &format!("  {heading}: {}\n", effects.join(", "));
+    let (mut losses, mut others) = (Vec::new(), Vec::new());
+    for did in result.layers.iter().filter(|did| did.count > 0) {
+        match LOSSES.iter().find(|(layer, _)| *layer == did.layer) {
+            Some((_, how)) => losses.push(format!("{} {how}", did.count)),
+            None => others.push(format!("{} {}", did.count, effect(did.layer))),
+        }
+    }
+    for (heading, entries) in [("lost", losses), ("delayed or changed", others)] {
+        if !entries.is_empty() {
+            text += &format!("  {heading}: {}\n", entries.join(", "));
         }
     }
     text.push('\n');
     text
 }
 
-/// Layers of a link that lose copies of frames, and how.
-const LOSSES: [(&str, &str); 5] = [
+/// Layers of a link that lose frames, and how: copies, and of the medium frames to all neighbours.
+const LOSSES: [(&str, &str); 6] = [
     ("loss", "by independent loss"),
     ("burst", "in bursts"),
     ("connection", "over edges that were gone"),
     ("receiver-down", "because the receiver was down"),
-    ("replaced", "frames replaced by newer ones while they waited for the medium"),
+    ("replaced", "frames that newer ones replaced while they waited for the medium"),
+    ("sender-down", "frames whose sender went down while they waited"),
 ];
 
-/// The other layers, and what they did.
-const EFFECTS: [(&str, &str); 4] = [
-    ("delay", "delayed"),
-    ("duplicate", "delivered twice"),
-    ("corrupt", "with changed bytes"),
-    ("waiting-steps", "steps of waiting for the medium"),
-];
+/// Returns what another layer did; its name, if it is not known here.
+fn effect(layer: &str) -> &str {
+    match layer {
+        "delay" => "delayed",
+        "duplicate" => "delivered twice",
+        "corrupt" => "with changed bytes",
+        "waiting-steps" => "steps of waiting for the medium",
+        other => other,
+    }
+}
 
 fn rmse(agent: &AgentReport) -> Option<f64> {
     agent.rmse
@@ -264,8 +270,12 @@ mod tests {
         let result = run(&scenario, options, &Silent).unwrap();
         let text = traffic(&result, &[]);
         for LayerCount { layer, count } in result.layers {
-            assert!(count > 0, "{layer} did nothing");
-            assert!(text.contains(&format!(" {count} ")), "{layer}, {count}: {text}");
+            let how = LOSSES.iter().find(|(known, _)| *known == layer).map(|(_, how)| *how);
+            let what = how.unwrap_or(effect(layer));
+            assert_ne!(what, layer, "{layer} has no words");
+            // Whether a frame is waiting when its sender goes down is left to chance.
+            assert!(count > 0 || layer == "sender-down", "{layer} did nothing");
+            assert_eq!(text.contains(&format!(" {count} {what}")), count > 0, "{layer}: {text}");
         }
     }
 

@@ -13,6 +13,9 @@ use crate::scenario::{Method, Scenario};
 /// Norm of the plant's state above which the plant is the cause of a divergence, not the agent.
 const RUNAWAY: f64 = 1e6;
 
+/// Samples that are larger than the plant's state by this factor are those of an estimate that diverged.
+const FAR: f64 = 1e6;
+
 /// Returns the norm of the plant's state in brackets, if the state is known.
 pub(super) fn norm_in_words(plant_norm: f64) -> String {
     if plant_norm.is_nan() {
@@ -39,8 +42,8 @@ pub(super) fn training_error(
     error: TrainedError,
 ) -> RunError {
     let state = plant_course(scenario).ok().map(|course| course.largest());
-    match error.largest().zip(state) {
-        Some((largest, state)) if largest > RUNAWAY * state => {
+    match error.too_large().zip(state) {
+        Some((largest, state)) if largest > FAR * state => {
             RunError::SamplesDiverged { agent, cycle, largest, state, remedy: remedy(scenario) }
         }
         _ => RunError::Training { agent, cycle, error },

@@ -98,10 +98,11 @@ pub struct RunOptions {
     pub bounds: bool,
 }
 
-/// Checks, without a run, that the method of a scenario can deal with the scenario.
+/// Checks, without a run, that the method of a scenario supports the scenario. Only the Kalman filters have
+/// conditions.
 ///
 /// # Errors
-/// What a run would end with at its start.
+/// The error that a run would end with at its start.
 pub fn check_method(scenario: &Scenario) -> Result<(), RunError> {
     if scenario.method.is_kalman() { kalman::course(scenario).map(drop) } else { Ok(()) }
 }
@@ -336,8 +337,8 @@ pub enum RunError {
     },
     /// An agent's estimate had diverged while it collected samples.
     #[error(
-        "agent {agent} cannot be trained in learning cycle {cycle}: its estimates had diverged, to {} where \
-         the plant stays below {}; {remedy}",
+        "agent {agent} cannot be trained in learning cycle {cycle}: its estimates had diverged: samples \
+         reach {}, where the plant's state stays within {}; {remedy}",
         significant(*largest, 2),
         significant(*state, 2)
     )]

@@ -208,7 +208,7 @@ impl<'s> Plan<'s> {
         // All agents predict samples with the same outer weights.
         draft.on_switch = OnSwitch::Replace;
         if self.starts_at() > 0 {
-            // The rate was observed with the paper's observer.
+            // Before that time it is the rate of the paper's observer, which broadcasts far more often.
             draft.trial =
                 draft.trial.map(|limits| TrialLimits { broadcasts_per_second: None, ..limits });
             draft.trial = draft.trial.filter(|limits| *limits != TrialLimits::NONE);

@@ -118,10 +118,12 @@ pub enum TrainedError {
 }
 
 impl TrainedError {
-    /// Returns the largest magnitude in the samples, if the error is about that.
-    pub(crate) fn largest(&self) -> Option<f64> {
+    /// Returns the largest magnitude in the samples, if it is too large to train with.
+    pub(crate) fn too_large(&self) -> Option<f64> {
         match *self {
-            Self::Size { largest, .. } | Self::NotFinite { largest, .. } => Some(largest),
+            Self::Size { largest, .. } | Self::NotFinite { largest, .. } => {
+                Some(largest).filter(|largest| largest > SIZES.end())
+            }
             _ => None,
         }
     }

@@ -66,11 +66,12 @@ impl Model {
     #[must_use]
     pub fn rotated(&self, disturbance: &Disturbance) -> Disturbance {
         let Disturbance { bias, cosine, sine } = *disturbance;
-        if cosine == 0.0 && sine == 0.0 {
-            // Nothing oscillates, as without a harmonic part.
-            return Disturbance { bias, cosine: 0.0, sine: 0.0 };
-        }
         let (c, s) = (self.rotation_cosine, self.rotation_sine);
+        // Nothing oscillates, as without a harmonic part. For these zeros and rotations the sums below are
+        // zero, too, with the same sign.
+        if cosine.to_bits() | sine.to_bits() == 0 && c > 0.0 {
+            return *disturbance;
+        }
         let (next_cosine, next_sine) = (c * cosine + s * sine, c * sine - s * cosine);
         Disturbance { bias, cosine: self.limited(next_cosine), sine: self.limited(next_sine) }
     }

@@ -41,7 +41,7 @@ use crate::files::output::{FileKind, OutputError, make_folder};
 use crate::interruption::{self, SecondSignal};
 use crate::number::counted;
 use crate::report::latex::latex;
-use crate::scenario::{Scenario, ScenarioSource, copied};
+use crate::scenario::{Scenario, ScenarioSource, built_in, copied};
 use crate::terminal;
 use cells::{Cells, Loaded};
 use earlier::Earlier;
@@ -225,14 +225,15 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
     interruption::listen(SecondSignal::Exit);
     let (base, text) = load_with_text(path, &arguments.changes)?;
     let cells = cells(arguments)?;
-    let source = ScenarioSource { name: path.display().to_string(), text: text.clone() };
-    let (study, runs) = plan(arguments, &base, &source, &cells)?;
     let out = arguments.out.clone();
     let out = out.unwrap_or_else(|| Path::new("out").join(format!("{}-sweep", base.name)));
     let folder = match arguments.shard.is_whole() {
         true => out.clone(),
         false => out.join(arguments.shard.folder()),
     };
+    let source = ScenarioSource { name: path.display().to_string(), text: text.clone() };
+    let (mut study, runs) = plan(arguments, &base, &source, &cells)?;
+    study.command = command(arguments, &again(path, &folder));
     make_folder(&folder)?;
     let _lock = lock(&folder)?;
     let file = folder.join(results::NAME);
@@ -356,10 +357,15 @@ fn cells(arguments: &Arguments) -> Result<Cells, CommandError> {
     Ok(cells)
 }
 
-/// Returns the name by which a scenario can be read again: of one from a pipe, its copy in the study's folder.
-fn again(name: &str) -> &str {
-    let is_pipe = fs::metadata(name).is_ok_and(|metadata| !metadata.is_file());
-    if is_pipe { "scenario.toml" } else { name }
+/// Returns the name by which a scenario can be read again: of one from a pipe, its copy in the study's `folder`.
+fn again(path: &Path, folder: &Path) -> String {
+    let is_stream = ["/dev", "/proc"].iter().any(|root| path.starts_with(root));
+    let is_pipe = fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir());
+    let name = path.display().to_string();
+    if built_in(&name).is_none() && (is_stream || is_pipe) {
+        return folder.join(study::SCENARIO).display().to_string();
+    }
+    name
 }
 
 /// Returns the command that repeats the study, without where it writes and how fast it is.
@@ -427,7 +433,7 @@ fn plan(
         initial_states: states,
         shard: arguments.shard.to_string(),
         runs: part.end - part.start,
-        command: command(arguments, again(&source.name)),
+        command: Vec::new(),
     };
     Ok((study, Runs::new(own, (seed, seeds), others, part, (header, is_recorded))))
 }
@@ -466,4 +472,20 @@ fn write_files(
         names.push(parquet::NAME.to_owned());
     }
     Ok(names.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scenario_from_a_pipe_is_read_again_from_its_copy() {
+        let again = |path: &str| again(Path::new(path), Path::new("out/study"));
+        for pipe in ["/dev/stdin", "/dev/fd/63", "/proc/self/fd/0"] {
+            assert_eq!(again(pipe), "out/study/scenario.toml");
+        }
+        for name in ["paper", "mine.toml", "."] {
+            assert_eq!(again(name), name);
+        }
+    }
 }

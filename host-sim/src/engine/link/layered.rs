@@ -39,6 +39,8 @@ pub struct Layered {
     /// Copies that arrived at a node that was down.
     missed: u64,
     replaced: u64,
+    /// Frames that waited for the medium when their sender went down.
+    withdrawn: u64,
 }
 
 /// What edges do, over time.
@@ -110,6 +112,7 @@ impl Layered {
             receivers: Vec::new(),
             missed: 0,
             replaced: 0,
+            withdrawn: 0,
         }
     }
 
@@ -184,7 +187,7 @@ impl Link for Layered {
             for (sender, down) in self.down.iter().enumerate() {
                 // A node without power sends nothing.
                 if down.iter().any(|ticks| ticks.contains(&tick)) && medium.withdraw(sender) {
-                    self.replaced += 1;
+                    self.withdrawn += 1;
                     self.traffic[sender].lost += self.graph.neighbours(sender).len() as u64;
                 }
             }
@@ -223,10 +226,10 @@ impl Link for Layered {
     }
 
     fn layer_counts(&self) -> Vec<LayerCount> {
-        let medium = self
-            .medium
-            .iter()
-            .flat_map(|medium| [("waiting-steps", medium.count()), ("replaced", self.replaced)]);
+        let medium = self.medium.iter().flat_map(|medium| {
+            let waited = ("waiting-steps", medium.count());
+            [waited, ("replaced", self.replaced), ("sender-down", self.withdrawn)]
+        });
         let layers = self.layers.iter().map(|layer| (layer.name(), layer.count()));
         medium
             .chain(layers)
