@@ -924,3 +924,25 @@ proptest! {
         prop_assert!(member.state.estimate().norm() < 1e4);
     }
 }
+
+#[test]
+fn what_a_sample_announces_evolves_between_broadcasts() {
+    let mut fleet = Fleet::new(options(HoldKind::Rate));
+    let params = field(0, options(HoldKind::Rate));
+    let (mut compared, mut changed) = (0, 0);
+    for tick in 0..500 {
+        let before = *fleet.0[0].state.own_hold();
+        fleet.step(tick);
+        let after = fleet.0[0].state.own_hold();
+        if after.sequence() != before.sequence() {
+            continue;
+        }
+        let (Some(before), Some(after)) = (before.announced(), after.announced()) else { continue };
+        let mut expected = *before;
+        params.move_on(&mut expected);
+        assert_eq!(expected, *after, "{tick}");
+        compared += 1;
+        changed += u32::from(before != after);
+    }
+    assert!(compared > 100 && changed > 100, "{changed} of {compared}");
+}
