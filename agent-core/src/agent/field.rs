@@ -149,7 +149,7 @@ impl<const N: usize, F: Features> Prediction<'_, N, F> {
             estimate = self.params.limited(&estimate);
         }
         if all_finite(&estimate) {
-            // In place: copies of announcements would take a fifth of a step.
+            // In place: copies of announcements took an eighth of a step.
             let announced = hold.go_on(estimate, all_steps);
             for _ in 0..steps {
                 self.params.move_on(announced);

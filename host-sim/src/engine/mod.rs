@@ -337,7 +337,7 @@ pub enum RunError {
     },
     /// An agent's estimate had diverged while it collected samples.
     #[error(
-        "agent {agent} cannot be trained in learning cycle {cycle}: its estimates had diverged: samples \
+        "agent {agent} cannot be trained in learning cycle {cycle}, because its estimates had diverged: samples \
          reach {}, where the plant's state stays within {}; {remedy}",
         significant(*largest, 2),
         significant(*state, 2)

@@ -232,8 +232,8 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         false => out.join(arguments.shard.folder()),
     };
     let source = ScenarioSource { name: path.display().to_string(), text: text.clone() };
-    let (mut study, runs) = plan(arguments, &base, &source, &cells)?;
-    study.command = command(arguments, &again(path, &folder));
+    let command = command(arguments, &again(path, &folder));
+    let (study, runs) = plan(arguments, &base, &source, &cells, command)?;
     make_folder(&folder)?;
     let _lock = lock(&folder)?;
     let file = folder.join(results::NAME);
@@ -359,7 +359,7 @@ fn cells(arguments: &Arguments) -> Result<Cells, CommandError> {
 
 /// Returns the name by which a scenario can be read again: of one from a pipe, its copy in the study's `folder`.
 fn again(path: &Path, folder: &Path) -> String {
-    let is_stream = ["/dev", "/proc"].iter().any(|root| path.starts_with(root));
+    let is_stream = ["/dev/stdin", "/dev/fd", "/proc"].iter().any(|root| path.starts_with(root));
     let is_pipe = fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir());
     let name = path.display().to_string();
     if built_in(&name).is_none() && (is_stream || is_pipe) {
@@ -406,6 +406,7 @@ fn plan(
     base: &Scenario,
     source: &ScenarioSource,
     cells: &Cells,
+    command: Vec<String>,
 ) -> Result<(Study, Runs), CommandError> {
     let (seed, seeds, states) = (arguments.common.seed, arguments.seeds, arguments.initial_states);
     if seed.checked_add(seeds).is_none() {
@@ -433,7 +434,7 @@ fn plan(
         initial_states: states,
         shard: arguments.shard.to_string(),
         runs: part.end - part.start,
-        command: Vec::new(),
+        command,
     };
     Ok((study, Runs::new(own, (seed, seeds), others, part, (header, is_recorded))))
 }
@@ -484,7 +485,7 @@ mod tests {
         for pipe in ["/dev/stdin", "/dev/fd/63", "/proc/self/fd/0"] {
             assert_eq!(again(pipe), "out/study/scenario.toml");
         }
-        for name in ["paper", "mine.toml", "."] {
+        for name in ["paper", "mine.toml", "/dev/shm/mine.toml", "."] {
             assert_eq!(again(name), name);
         }
     }

@@ -80,7 +80,7 @@ struct Simulation<'s> {
 /// Returns the plant's trajectory, which the settings of the filters follow from.
 ///
 /// # Errors
-/// The scenario has what the filters cannot deal with, or the plant diverges.
+/// The scenario has what the filters do not support, or the plant diverges.
 pub(super) fn course(scenario: &Scenario) -> Result<Trajectory, RunError> {
     if scenario.agents.iter().any(|agent| agent.clock != ClockSettings::default()) {
         return Err(RunError::KalmanClock);
