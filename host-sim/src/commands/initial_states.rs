@@ -38,10 +38,7 @@ fn reach(scenario: &Scenario) -> Result<Vec<f64>, CommandError> {
     let course = plant_course(scenario).map_err(|error| {
         CommandError::new(ErrorCode::Run, format!("--initial-states, half widths: {error}"))
     })?;
-    let n = course.dimension;
-    let size =
-        |c: usize| course.states.iter().skip(c).step_by(n).fold(0.0f64, |m, x| m.max(x.abs()));
-    Ok((0..n).map(size).collect())
+    Ok(course.reach())
 }
 
 /// Returns the scenario that begins in this state.

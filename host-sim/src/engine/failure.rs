@@ -41,7 +41,8 @@ pub(super) fn training_error(
     cycle: usize,
     error: TrainedError,
 ) -> RunError {
-    let state = plant_course(scenario).ok().map(|course| course.largest());
+    let reach = plant_course(scenario).ok().map(|course| course.reach());
+    let state = reach.map(|reach| reach.into_iter().fold(0.0, f64::max));
     match error.too_large().zip(state) {
         Some((largest, state)) if largest > FAR * state => {
             RunError::SamplesDiverged { agent, cycle, largest, state, remedy: remedy(scenario) }

@@ -47,10 +47,13 @@ impl Trajectory {
         mean.iter().map(|sum| sum / self.samples() as f64).collect()
     }
 
-    /// Returns the largest magnitude of any component. \[state unit\]
+    /// Returns the largest magnitude of each component, shape `[n]`. \[state unit\]
     #[must_use]
-    pub fn largest(&self) -> f64 {
-        self.states.iter().fold(0.0, |largest, x| largest.max(x.abs()))
+    pub fn reach(&self) -> Vec<f64> {
+        let component = |c| self.states.iter().skip(c).step_by(self.dimension);
+        (0..self.dimension)
+            .map(|c| component(c).fold(0.0f64, |most, x| most.max(x.abs())))
+            .collect()
     }
 
     /// Returns the standard deviation of each component, shape `[n]`. \[state unit\]
@@ -82,7 +85,7 @@ mod tests {
         let trajectory = Trajectory { dimension: 2, step: 0.1, states };
         assert_eq!((trajectory.samples(), trajectory.state(1)), (2, &[3.0, 5.0][..]));
         assert_eq!(trajectory.mean(), [2.0, 5.0]);
-        assert_eq!(trajectory.largest(), 5.0);
+        assert_eq!(trajectory.reach(), [3.0, 5.0]);
         assert_eq!(trajectory.deviation(), [1.0, 0.0]);
         assert_eq!(units(&trajectory.deviation()), [1.0, 1.0]);
     }
