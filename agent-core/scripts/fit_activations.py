@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Fits the constants of agent-core/src/math/activation.rs and prints them.
+"""Fits the constants of agent-core/inner-network/src/activation.rs and prints them.
 
     pip install numpy mpmath
     python agent-core/scripts/fit_activations.py
     python agent-core/scripts/fit_activations.py --golden
 
-The second form also prints the hashes and bits that `src/math/activation/tests.rs` expects,
+The second form also prints the hashes and bits that `inner-network/src/activation/tests.rs` expects,
 computed with the binary32 model below, not with the Rust code.
 
 Each polynomial is fitted in two steps, without randomness:

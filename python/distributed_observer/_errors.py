@@ -45,5 +45,5 @@ class ObserverWarning(UserWarning):
 
 
 def warn(text: str, code: str) -> None:
-    """Give a warning to whoever called into this module."""
+    """Warn the caller of this module's function."""
     warnings.warn(ObserverWarning(text, code), stacklevel=2)

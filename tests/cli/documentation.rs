@@ -288,6 +288,19 @@ fn links_between_pages_lead_somewhere() {
 }
 
 #[test]
+fn every_page_is_in_its_index() {
+    for (folder, index) in [("docs", "docs/README.md"), ("docs/decisions", "docs/decisions/README.md")] {
+        let index_text = fs::read_to_string(Path::new(ROOT).join(index)).unwrap();
+        for entry in fs::read_dir(Path::new(ROOT).join(folder)).unwrap() {
+            let name = entry.unwrap().file_name().into_string().unwrap();
+            if name.ends_with(".md") && name != "README.md" {
+                assert!(index_text.contains(&format!("]({name})")), "{index} lacks {name}");
+            }
+        }
+    }
+}
+
+#[test]
 fn pictures_are_what_the_simulator_draws() {
     let folder = Folder::new("documented-pictures");
     folder.succeed("run paper --out drawn");

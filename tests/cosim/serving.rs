@@ -31,19 +31,21 @@ fn served(
     speed: f64,
     visit: impl FnOnce(&Mutex<BTreeMap<usize, UnixStream>>),
 ) -> (CosimReport, Vec<String>) {
-    served_with(folder, speed, &Quirks::default(), |lines, _| visit(lines))
+    served_with(folder, "", speed, &Quirks::default(), |lines, _| visit(lines))
 }
 
-/// Like [`served`], with such nodes; `visit` also gets the packages with which they start.
+/// Like [`served`], with these tables added to the scenario and such nodes; `visit` also gets the packages with
+/// which they start.
 fn served_with(
     folder: &Folder,
+    tables: &str,
     speed: f64,
     quirks: &Quirks,
     visit: impl FnOnce(&Mutex<BTreeMap<usize, UnixStream>>, &Mutex<BTreeMap<usize, PackageBytes>>),
 ) -> (CosimReport, Vec<String>) {
-    let mut scenario = Scenario::parse("paper", PAPER).unwrap();
+    let mut scenario = Scenario::parse("paper", &format!("{PAPER}\n{tables}")).unwrap();
     scenario.learning.clear();
-    scenario.time.duration = 1e6;
+    scenario.run_steps = Some(1 << 40);
     let stop = Arc::new(AtomicBool::new(false));
     let service = Service { folder: folder.path("nodes"), speed, stop: stop.clone() };
     let (lines, notices) = (Mutex::new(BTreeMap::new()), Mutex::new(Vec::new()));
@@ -82,6 +84,16 @@ fn served_with(
         run.join().unwrap()
     });
     (report, notices.into_inner().unwrap())
+}
+
+#[test]
+fn nodes_of_the_field_observer_are_served_without_end() {
+    let folder = Folder::new("serve-field");
+    let field = "[observer]\npreset = \"field\"\n";
+    let (report, _) = served_with(&folder, field, 1.0, &Quirks::default(), |_, _| {
+        folder.succeed("monitor nodes/agent-2.sock --every 1 --count 20");
+    });
+    assert_eq!((&report.first_mismatch, report.mismatches), (&None, 0));
 }
 
 #[test]
@@ -279,7 +291,7 @@ fn a_harmful_package_is_back_out_by_itself_and_a_good_one_stays() {
     let folder = Folder::new("serve-trial");
     let quirks = Quirks { trial_seconds: Some(10), ..Quirks::default() };
     let status = || object(&folder.succeed("node nodes/agent-1.sock status --format json"));
-    served_with(&folder, 1e6, &quirks, |_, packages| {
+    served_with(&folder, "", 1e6, &quirks, |_, packages| {
         let package = packages.lock().unwrap()[&0].clone();
         wait_until("there is something to compare with", || {
             status()["tick"].as_u64().unwrap() > 8_000
@@ -307,7 +319,7 @@ fn a_harmful_package_is_back_out_by_itself_and_a_good_one_stays() {
         assert_eq!(after["trial"]["needed_seconds"].as_f64().unwrap().round(), 10.0);
         assert_eq!(after["trial"]["deadline_seconds"].as_f64().unwrap().round(), 30.0);
         let told = folder.succeed("node nodes/agent-1.sock");
-        assert!(told.contains("version 2 of package epoch 0 did not stay in use: "), "{told}");
+        assert!(told.contains("version 2 of package epoch 0 was rolled back: "), "{told}");
 
         let tick = after["tick"].as_u64().unwrap();
         wait_until("there is something to compare with again", || {

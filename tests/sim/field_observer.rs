@@ -35,6 +35,17 @@ fn errors(result: &RunResult) -> Vec<f64> {
 }
 
 #[test]
+fn settings_are_derived_from_the_whole_duration_however_many_steps_are_run() {
+    let mut scenario = scenario("[observer]\npreset = \"field\"\n");
+    let whole = host_sim::flow::plant_course(&scenario).unwrap();
+    assert_eq!(whole.samples(), 4_001);
+    for steps in [10, 1 << 40] {
+        scenario.run_steps = Some(steps);
+        assert_eq!(host_sim::flow::plant_course(&scenario).unwrap(), whole);
+    }
+}
+
+#[test]
 fn the_preset_paper_is_a_scenario_without_an_observer() {
     let [without, with] =
         ["", "[observer]\npreset = \"paper\"\n"].map(|tables| simulate(&scenario(tables)));

@@ -69,7 +69,7 @@ fn check_paths(program: &Path) -> Result<(), Failure> {
     let bytes = fs::read(program).map_err(|error| failed(program, &error))?;
     let path = workspace().as_os_str().as_encoded_bytes();
     if bytes.windows(path.len()).any(|bytes| bytes == path) {
-        let what = format!("{} holds the path {}", program.display(), workspace().display());
+        let what = format!("{} contains the path {}", program.display(), workspace().display());
         let hint = "remove env!(\"CARGO_MANIFEST_DIR\") and similar macros from its sources";
         return Err(Failure::new(what, hint));
     }

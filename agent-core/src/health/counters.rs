@@ -127,7 +127,7 @@ counters! {
     /// Frames that arrived damaged.
     link_damaged: "frames that arrived damaged",
     /// Frames that arrived and for which there was no room.
-    link_overflow: "frames without room at their arrival",
+    link_overflow: "frames dropped because the receive buffer was full",
     /// Failures of the link's receiver.
     link_receiver: "failures of the link's receiver",
 }

@@ -94,7 +94,7 @@ pub struct Capacity {
 }
 
 impl Capacity {
-    /// Limited only by the format; for a host.
+    /// No limits beyond those of the format; for hosts.
     pub const UNLIMITED: Self = Self {
         features: usize::MAX,
         neighbours: usize::MAX,

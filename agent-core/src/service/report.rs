@@ -16,7 +16,7 @@ pub struct Report {
     pub performance: Option<Performance>,
     /// The trial in progress, or else the last one since the node started.
     pub trial: Option<TrialReport>,
-    /// The last package that did not stay in use.
+    /// The last package that was rolled back.
     pub last_revert: Option<LastRevert>,
     /// Epoch of the package in use.
     pub epoch: Option<u32>,
@@ -95,7 +95,7 @@ impl TrialReport {
     }
 }
 
-/// A package that did not stay in use.
+/// A package that was rolled back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LastRevert {
     /// Its version.

@@ -12,7 +12,7 @@
 
 use crate::math::half::{from_half, to_half};
 use crate::math::numeric::{all_finite, components, components_mut, zeros};
-use crate::wire::frame::{WORDS_MAX, Words};
+use crate::wire::words::{WORDS_MAX, Words};
 use crate::{NODE_DIMENSION_MAX, StateVector};
 
 /// State of the model of one direction. \[unit of `xi`/s\]

@@ -190,8 +190,8 @@ impl<
         Ok((Response::InUse { version }, Next::Switch))
     }
 
-    /// Returns the properties of a package that has been in use. Its stack is not that of a write to
-    /// the journal.
+    /// Returns the properties of a package that has been in use. Not inlined, so that its
+    /// stack frame does not add to that of a journal write.
     #[inline(never)]
     fn known_package(&self, slot: Slot) -> Option<InUsePackage> {
         let envelope = Envelope::open(self.store.bytes(slot)?).ok()?;

@@ -66,7 +66,7 @@ fn create(arguments: &Arguments) -> Result<(), CommandError> {
     }
     let hex: String = report.public_key_bytes.iter().map(|byte| format!("{byte:02x}")).collect();
     print_text(&format!(
-        "Key folder: {} (keep it secret and back it up; without it, provisioned nodes are out of reach)\n\
+        "Key folder: {} (keep it secret and back it up; without it, provisioned nodes cannot be managed any more)\n\
          \x20 operator.pem      signs packages and first keys\n\
          \x20 operator.pub.pem  its public key, for nodes and for `weights verify --key`\n\
          \x20 secret.pem        the keys of all nodes and of the network are derived from it\n\

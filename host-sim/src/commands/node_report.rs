@@ -130,7 +130,7 @@ pub(super) fn text(report: &Report) -> String {
     }
     if let Some(LastRevert { version, epoch, reason }) = report.last_revert {
         text += &format!(
-            "  version {version} of package epoch {epoch} did not stay in use: {}\n",
+            "  version {version} of package epoch {epoch} was rolled back: {}\n",
             reason_text(reason)
         );
     }
@@ -166,7 +166,7 @@ fn place(panic: &PanicPlace) -> String {
     format!("{}:{}", file.trim_end_matches('\0'), panic.line)
 }
 
-/// Explains why a package did not stay in use.
+/// Explains why a package was rolled back.
 pub(super) fn reason_text(reason: RevertReason) -> &'static str {
     match reason {
         RevertReason::Operator => "the operator asked for it",

@@ -176,14 +176,6 @@ impl Geometry {
     pub fn directions_of(&self, x: &[f64], xi: &mut [f64]) {
         image(&self.transform, x, xi);
     }
-
-    /// Writes `x = T^-1 xi` to `x`, both of shape `[n]`. \[state unit\]
-    ///
-    /// # Panics
-    /// If `x` or `xi` is longer than `n`.
-    pub fn state_of(&self, xi: &[f64], x: &mut [f64]) {
-        image(&self.inverse, xi, x);
-    }
 }
 
 /// An output in chosen units.
@@ -355,7 +347,7 @@ mod tests {
                 let x: Vec<f64> = (0..n).map(|j| 0.3 + j as f64).collect();
                 let (mut xi, mut back) = (vec![0.0; n], vec![0.0; n]);
                 geometry.directions_of(&x, &mut xi);
-                geometry.state_of(&xi, &mut back);
+                image(&geometry.inverse, &xi, &mut back);
                 prop_assert!(x.iter().zip(&back).all(|(x, back)| (x - back).abs() < 1e-7));
                 for c in 0..n {
                     prop_assert!((0..outputs.len()).any(|agent| geometry.is_root(agent, c)));

@@ -512,7 +512,11 @@ fn output<const N: usize>(package: &PackageBytes, x: &[f32]) -> Vec<f32> {
     output.map_or_else(Vec::new, |output| output.as_slice().to_vec())
 }
 
-/// Returns the trajectory of the plant without agents and without process noise.
+/// Most steps of a [`plant_course`]: 100 MB with three components.
+const COURSE_STEPS_MAX: u64 = 1 << 22;
+
+/// Returns the trajectory of the plant without agents and without process noise, over the scenario's whole
+/// duration however many steps are run, but at most over the first 2^22 steps.
 ///
 /// # Errors
 /// If it is not finite.
@@ -533,7 +537,7 @@ fn plant_states<const N: usize>(
     let time = scenario.time;
     let mut state: [f64; N] = std::array::from_fn(|c| scenario.initial_state[c]);
     let mut plant = Stepper::new(time.integrator);
-    for tick in 0..scenario.steps() {
+    for tick in 0..time.steps().min(COURSE_STEPS_MAX) {
         let (plant_model, disturbance) = (&scenario.plant, &scenario.disturbance);
         let before = state;
         plant.step(plant_model, disturbance, time.at(tick), time.step_size, &mut state);

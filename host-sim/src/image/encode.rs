@@ -8,7 +8,7 @@ use super::uf2::{self, Uf2Family};
 use super::{ERASED, Image, ImageError, Segment};
 
 /// A file format, as named on the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// Bytes without addresses; gaps between the segments are filled with blanks.
     Bin,

@@ -61,12 +61,12 @@ impl NetworkNumbers {
         let content: Content =
             toml::from_str(text).map_err(|error| error.message().trim().to_owned())?;
         match *content.network_keys.as_slice() {
-            [0] | [0, _] | [_, 0] => Err("there is no network key 0".to_owned()),
+            [0] | [0, _] | [_, 0] => Err("network keys are numbered from 1".to_owned()),
             [sending] => Ok(Self { sending, other: None }),
             [first, second] if second == next(first) || first == next(second) => {
                 Ok(Self { sending: first, other: Some(second) })
             }
-            [first, second] => Err(format!("{first} and {second} do not follow each other")),
+            [first, second] => Err(format!("network keys {first} and {second} are not consecutive")),
             ref other => Err(format!("it lists {} network keys", other.len())),
         }
     }

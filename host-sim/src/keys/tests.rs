@@ -126,9 +126,9 @@ fn invalid_numbers_are_reported_and_not_overwritten() {
     for (text, problem) in [
         ("network_keys = []", "it lists 0 network keys"),
         ("network_keys = [1, 2, 3]", "it lists 3 network keys"),
-        ("network_keys = [0]", "there is no network key 0"),
-        ("network_keys = [3, 5]", "3 and 5 do not follow each other"),
-        ("network_keys = [4, 4]", "4 and 4 do not follow each other"),
+        ("network_keys = [0]", "network keys are numbered from 1"),
+        ("network_keys = [3, 5]", "network keys 3 and 5 are not consecutive"),
+        ("network_keys = [4, 4]", "network keys 4 and 4 are not consecutive"),
         ("network_keys = [256]", "256"),
         ("network = [1]", "network"),
         ("network_keys = [", "array"),

@@ -11,8 +11,8 @@ use super::changes::replace;
 /// The keys that name a file, relative to the scenario's folder.
 const FILES: [[&str; 2]; 1] = [["plant", "file"]];
 
-/// Returns the text of a copy in the folder `to` of the scenario whose name in errors is `name`, as
-/// [`super::ScenarioSource`] has it.
+/// Returns the scenario's text for a copy in the folder `to`; `name` identifies the scenario in errors,
+/// as in [`super::ScenarioSource`].
 #[must_use]
 pub fn copied(name: &str, text: &str, to: &Path) -> String {
     let from = Path::new(name).parent().unwrap_or(Path::new(""));

@@ -247,6 +247,7 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         health,
         evaluation,
         record,
+        run_steps: None,
     };
     learning::check_relearning(root, &scenario)?;
     Ok(scenario)

@@ -98,6 +98,9 @@ pub struct Scenario {
     pub evaluation: Window,
     /// What is recorded.
     pub record: Record,
+    /// Steps to run in place of the whole duration. What is derived from the plant's motion, such as the field
+    /// observer's settings, is derived from the whole duration in any case.
+    pub run_steps: Option<u64>,
 }
 
 impl Scenario {
@@ -116,7 +119,8 @@ impl Scenario {
         if let Some(initial_state) = initial_state {
             drawn.to_mut().initial_state = initial_state;
         }
-        if let Some(disturbance) = self.disturbance.drawn(seed, self.time.step_size, self.steps()) {
+        let steps = self.steps().max(self.time.steps());
+        if let Some(disturbance) = self.disturbance.drawn(seed, self.time.step_size, steps) {
             drawn.to_mut().disturbance = disturbance;
         }
         drawn
@@ -125,7 +129,7 @@ impl Scenario {
     /// Returns the number of steps in the run.
     #[must_use]
     pub fn steps(&self) -> u64 {
-        self.time.tick(self.time.duration)
+        self.run_steps.unwrap_or(self.time.steps())
     }
 
     /// Returns what the paper's theorems do not allow for, apart from the trigger: one clause for each, such
@@ -136,7 +140,7 @@ impl Scenario {
         [
             (
                 !self.link.is_ideal(),
-                "frames do not reach all neighbours at once and unharmed ([link])",
+                "links delay, lose or corrupt frames ([link])",
             ),
             (
                 !self.agents.iter().all(|a| a.sensor.is_ideal()),
@@ -218,7 +222,7 @@ impl Scenario {
         };
         let length = last.apply_at - last.collect.from;
         let windows = |count: u32| f64::from(count) * relearning.window;
-        let Some(rest) = self.relearning_end().map(|end| self.time.duration - end) else {
+        let Some(rest) = self.relearning_end().map(|end| self.time.at(self.steps()) - end) else {
             return 0;
         };
         if rest < 0.0 {
@@ -268,7 +272,7 @@ pub enum SimulationOnly {
 /// Duration and step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Time {
-    /// Length of the run. \[s\]
+    /// Length of the scenario. \[s\]
     pub duration: f64,
     /// Step of plant and agents. \[s\]
     pub step_size: f64,
@@ -277,6 +281,12 @@ pub struct Time {
 }
 
 impl Time {
+    /// Returns the number of steps in the duration.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.tick(self.duration)
+    }
+
     /// Returns the step whose start is nearest to `time` \[s\].
     #[must_use]
     pub fn tick(&self, time: f64) -> u64 {

@@ -87,7 +87,7 @@ pub struct Options {
     pub has_harmonics: bool,
     /// Whether numbers are sent in half precision.
     pub is_half: bool,
-    /// Age of a parent's sample at which the spare parent is followed; 0 for never. \[step\]
+    /// Age of a parent's sample at which the agent switches to the spare parent; 0 for never. \[step\]
     pub timeout: u32,
     /// Part of an announced bias that is left after a step.
     pub bias_kept: f32,

@@ -309,9 +309,7 @@ fn scenario(arguments: &Arguments) -> Result<Scenario, CommandError> {
         scenario.learning.clear();
     }
     let endless = arguments.serve.is_some().then_some(ENDLESS);
-    if let Some(steps) = arguments.steps.or(endless) {
-        scenario.time.duration = steps as f64 * scenario.time.step_size;
-    }
+    scenario.run_steps = arguments.steps.or(endless);
     let is_endless = arguments.steps.is_none() && endless.is_some();
     if is_endless && matches!(scenario.disturbance, Disturbance::Random(_)) {
         let problem = "--serve: a random disturbance is drawn for a known number of steps; give --steps, or remove \

@@ -313,7 +313,7 @@ fn design(scenario: &Scenario, arguments: &Arguments) -> Result<Designed, Comman
         rho = round_up(found * MARGIN);
     }
     let text = format!(
-        "scenario {}: no rho agrees with its own run: each run needs a larger one, finally {}; choose a \
+        "scenario {}: no rho bounds the run that it leads to: each run needs a larger one, finally {}; choose a \
          smaller --radius, or a larger k2 in [design]",
         scenario.name,
         significant(rho, 3)

@@ -92,7 +92,7 @@ impl Earlier {
 
 fn refused(path: &Path, line: u64, problem: &str) -> CommandError {
     let text = format!(
-        "{}:{line}: {problem}; remove the file to do without its rows, or choose another folder with --out",
+        "{}:{line}: {problem}; remove the file to discard its rows, or choose another folder with --out",
         path.display()
     );
     CommandError::new(ErrorCode::OutputRefused, text).about(path)

@@ -49,7 +49,7 @@ pub(super) fn open(
     let (mut end, mut line, mut number) = (0, String::new(), 0u64);
     let refused = |number: u64, problem: &str| {
         let text = format!(
-            "{}:{number}: {problem}; remove the file to begin again, or choose another folder with --out",
+            "{}:{number}: {problem}; remove the file to start over, or choose another folder with --out",
             path.display()
         );
         CommandError::new(ErrorCode::OutputRefused, text).about(path)

@@ -139,8 +139,8 @@ impl Runs {
         (next..self.range.end).filter(|&run| self.known(run, earlier).is_some()).count() as u64
     }
 
-    /// Carries out the runs from `next` on, except those in `earlier`, and adds the rows of all to
-    /// `results`. After an interruption the runs that have not begun are left out.
+    /// Executes the runs from `next` onwards, except those in `earlier`, and adds the rows of all to
+    /// `results`. After an interruption no further run is started.
     pub(super) fn carry_out(
         &self,
         next: u64,

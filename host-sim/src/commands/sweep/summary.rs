@@ -183,8 +183,8 @@ impl Summary {
     pub(super) fn read(path: &Path) -> Result<Self, CommandError> {
         let refused = |line: Option<u64>, problem: &str| {
             let line = line.map_or(String::new(), |line| format!(":{line}"));
-            let hint = "pass the results.csv of a sweep, or those of all its parts in the order of their \
-                        numbers, one after the other";
+            let hint = "pass the results.csv of a sweep, or those of all its parts, concatenated in the order \
+                        of their numbers";
             let text = format!("{}{line}: {problem}; {hint}", path.display());
             CommandError::new(ErrorCode::Samples, text).about(path)
         };

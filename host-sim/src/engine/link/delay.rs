@@ -1,5 +1,5 @@
-//! Delay: constant, with a jitter that is uniform around it. A copy whose delay is longer than that of
-//! the next one by more than their distance is overtaken.
+//! Delay: constant, with a jitter that is uniform around it. A copy is overtaken if
+//! its delay exceeds that of the next one by more than the interval between them.
 
 use super::layer::{Layer, Transmission};
 use crate::random::{Purpose, Random};

@@ -53,7 +53,7 @@ impl Method {
         match self {
             Self::Observer => "samples of its own estimates",
             Self::NoNetwork => "nothing of f",
-            Self::Untrained => "nothing of f before it adapts",
+            Self::Untrained => "nothing about f until it adapts",
             Self::Periodic => "samples of its own estimates, and how often the observer broadcasts",
             Self::Regression => "samples of its own estimates",
             Self::KnownModel => "f exactly, not the disturbance",

@@ -155,7 +155,7 @@ fn read(value: &Value<'_>, path: &Path) -> Result<(Recorded, Vec<u64>), Scenario
         .from_reader(bytes.as_slice());
     let wrong = |problem: String, hint: &str| value.error(format!("{shown}: {problem}"), hint);
     let table =
-        "write one line with the names of the columns, and one line of numbers for each time";
+        "write a header line with the columns' names, then one row for each time";
     let names = reader.headers().map_err(|error| wrong(error.to_string(), table))?;
     let names: Vec<String> = names.iter().map(str::to_owned).collect();
     if names.is_empty() {
@@ -232,7 +232,7 @@ fn take_time(
     if time.len() < 2 {
         let shown = place(table, file.text()?);
         let found = match lines {
-            [] => "has no rows of numbers below the names of its columns".to_owned(),
+            [] => "has no rows after its header".to_owned(),
             [line, ..] => format!("has only one row of numbers, in line {line}"),
         };
         let problem = format!("{}: the recording {found}", shown.display());

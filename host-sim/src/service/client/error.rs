@@ -76,7 +76,7 @@ pub enum ServiceError {
     NotProvisioned,
     /// Every counter of the node's epoch has been used.
     #[error(
-        "the node's counter of sealed requests has reached its end; power-cycle it, and try again"
+        "the node's counter of sealed requests is exhausted; power-cycle it, and try again"
     )]
     CounterUsedUp,
     /// The operating system provides no random numbers.
