@@ -64,11 +64,17 @@ pub enum WarningCode {
     UselessEstimate,
     /// Fitted polynomials were used outside the range of their samples.
     Extrapolation,
+    /// The table of a study lacks runs.
+    IncompleteStudy,
+    /// All cells of a study have the same results.
+    WithoutEffect,
+    /// All runs of a cell have the same results.
+    WithoutSpread,
 }
 
 impl WarningCode {
     /// Every code.
-    pub const ALL: [Self; 26] = [
+    pub const ALL: [Self; 29] = [
         Self::StateNotCovered,
         Self::GainNotASolution,
         Self::RhoTooSmall,
@@ -95,6 +101,9 @@ impl WarningCode {
         Self::UnusedInput,
         Self::UselessEstimate,
         Self::Extrapolation,
+        Self::IncompleteStudy,
+        Self::WithoutEffect,
+        Self::WithoutSpread,
     ];
 
     /// Returns the code as it appears in JSON.
@@ -127,6 +136,9 @@ impl WarningCode {
             Self::UnusedInput => "unused-input",
             Self::UselessEstimate => "useless-estimate",
             Self::Extrapolation => "extrapolation",
+            Self::IncompleteStudy => "incomplete-study",
+            Self::WithoutEffect => "without-effect",
+            Self::WithoutSpread => "without-spread",
         }
     }
 }

@@ -289,7 +289,9 @@ fn links_between_pages_lead_somewhere() {
 
 #[test]
 fn every_page_is_in_its_index() {
-    for (folder, index) in [("docs", "docs/README.md"), ("docs/decisions", "docs/decisions/README.md")] {
+    for (folder, index) in
+        [("docs", "docs/README.md"), ("docs/decisions", "docs/decisions/README.md")]
+    {
         let index_text = fs::read_to_string(Path::new(ROOT).join(index)).unwrap();
         for entry in fs::read_dir(Path::new(ROOT).join(folder)).unwrap() {
             let name = entry.unwrap().file_name().into_string().unwrap();

@@ -118,6 +118,18 @@ fn cosim_in_qemu_has_the_same_bits_with_the_field_observer() {
             assert_eq!(board["switches"], 1);
         }
     }
+    // From the start, through a reboot, and with an agent that is down when the observer starts.
+    let reboot = "life=[{agent=2,from=2.0,to=2.2}]";
+    let down = "life=[{agent=3,from=0.5,to=1.5},{agent=2,from=2.0,to=2.2}]";
+    for (from, life, switches) in [("0.0", reboot, 0), ("1.0", down, 1)] {
+        let arguments = format!(
+            "paper --without-learning --set observer.preset=field --set observer.from={from} --set {life} \
+             --steps 3000"
+        );
+        let report = cosim(&folder, &firmware(), &arguments);
+        assert_eq!((&report["mismatches"], &report["steps"]), (&0.into(), &3_000.into()));
+        assert_eq!(report["boards"][0]["switches"], switches);
+    }
 }
 
 /// Loss, delay, duplicates, corruption, a partition, drifting clocks, missing measurements, a reboot and

@@ -162,7 +162,12 @@ fn a_recording_that_does_not_fit_is_refused_with_its_place() {
             both,
             "data.csv: the recording has only one row of numbers, in line 2",
         ),
-        ("# a comment\nt,y1,y2\n", "", both, "data.csv: the recording has no rows after its header"),
+        (
+            "# a comment\nt,y1,y2\n",
+            "",
+            both,
+            "data.csv: the recording has no rows after its header",
+        ),
         ("", "", both, "data.csv is empty"),
         ("t,y1,y2\n0,1,\n0.5,1,\n4,1,\n", "", both, "the column `y2` has no numbers"),
     ] {

@@ -71,6 +71,14 @@ impl<const N: usize, const FEATURES: usize> Field<N, FEATURES> {
         !self.params.is_empty()
     }
 
+    /// Starts with the same parameters as after power-on, and with these outer weights for samples.
+    pub(super) fn begin_again(&mut self, outer_weights: &[StateVector<N>]) {
+        self.restart();
+        self.outer_weights.clear();
+        // There is room: as many as the agent has.
+        let _ = self.outer_weights.extend_from_slice(outer_weights);
+    }
+
     /// Starts again without a disturbance.
     pub(super) fn restart(&mut self) {
         self.disturbances = [Disturbance::NONE; N];

@@ -206,6 +206,25 @@ where
         estimate: StateVector<N>,
         outer_weights: &[f32],
     ) -> Result<(), ParameterError> {
+        self.begin_again(params, estimate, outer_weights)?;
+        #[cfg(feature = "field")]
+        {
+            self.field = field::Field::none();
+        }
+        Ok(())
+    }
+
+    /// Initialises the state as [`Self::begin`] does, except that a field observer stays in use, with the same
+    /// parameters.
+    ///
+    /// # Errors
+    /// Same as for [`Self::new`]; the state is then unchanged.
+    pub fn begin_again(
+        &mut self,
+        params: &AgentParams<'_, N>,
+        estimate: StateVector<N>,
+        outer_weights: &[f32],
+    ) -> Result<(), ParameterError> {
         finite("initial_estimate", components(&estimate))?;
         let (expected, found) = (params.neighbours().len(), self.neighbour_holds.as_ref().len());
         if expected != found {
@@ -223,9 +242,7 @@ where
         self.stale_frames = 0;
         self.exchange = Exchange::new();
         #[cfg(feature = "field")]
-        {
-            self.field = field::Field::none();
-        }
+        self.field.begin_again(self.outer_weights.rows());
         Ok(())
     }
 

@@ -275,7 +275,8 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPL
 impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
     Agent<N, FEATURES, NEIGHBOURS>
 {
-    /// Initialises the agent as after power-on; returns whether this succeeded.
+    /// Initialises the agent as after power-on, except that a field observer stays in use; returns whether this
+    /// succeeded.
     fn begin(
         &mut self,
         params: &AgentParams<'_, N>,
@@ -286,7 +287,7 @@ impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize>
         self.announced = false;
         self.state.places().resize(neighbours, None).is_ok()
             && self.inbox.places().resize(neighbours, None).is_ok()
-            && self.state.begin(params, estimate, outer_weights).is_ok()
+            && self.state.begin_again(params, estimate, outer_weights).is_ok()
     }
 
     /// Sends the first sample to the neighbours, unless they already have it.

@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use super::CommandError;
 use crate::engine::statistics::AgentStatistics;
-use crate::engine::{Progress, RunError, RunOptions, RunResult, run};
+use crate::engine::{Progress, RunError, RunOptions, RunResult, check_support, run};
 use crate::report::tables::change_percent;
 use crate::scenario::{Method, Record, Scenario};
 use crate::warning::{Warning, WarningCode};
@@ -107,6 +107,7 @@ pub(super) fn methods(
             let all = Method::NAMES.iter().map(|&(_, method)| method).filter(is_extra);
             all.filter(|&method| learns || method != Method::Regression)
                 .filter(|&method| knows || !method.knows_f())
+                .filter(|&method| check_support(scenario, method).is_ok())
                 .collect()
         }
         choices => choices.iter().filter_map(|choice| choice.method()).filter(is_extra).collect(),
@@ -119,6 +120,11 @@ pub(super) fn methods(
             "--baselines {}: a recording does not define f; choose a method that does not know it",
             method.name()
         )));
+    }
+    for &method in &methods {
+        check_support(scenario, method).map_err(|error| {
+            CommandError::usage(format!("--baselines {}: {error}", method.name()))
+        })?;
     }
     if methods.contains(&Method::Regression) && !learns {
         let name = &scenario.name;

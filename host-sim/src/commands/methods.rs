@@ -214,7 +214,13 @@ pub(super) fn picture(scenario: &Scenario, rows: &[Row]) -> Option<Figure> {
         .collect();
     let own = rows.iter().find(|row| row.method == scenario.method)?;
     let target = own.largest_error(has_errors)?;
-    let title = format!("{}: methods on the same plant, links and sensors", scenario.name);
+    let failed = rows.iter().filter(|row| point(row).is_none());
+    let failed: Vec<&str> = failed.map(|row| row.method.name()).collect();
+    let missing = match failed.as_slice() {
+        [] => String::new(),
+        names => format!(" (without a result: {})", names.join(", ")),
+    };
+    let title = format!("{}: methods on the same plant, links and sensors{missing}", scenario.name);
     let window = scenario.evaluation;
     let broadcasts_label =
         format!("broadcasts of all agents, t in [{}, {}] s", window.from, window.to);

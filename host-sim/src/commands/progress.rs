@@ -44,6 +44,14 @@ impl ProgressBars {
         bars
     }
 
+    /// Creates a bar that counts something other than steps.
+    #[must_use]
+    pub(super) fn counting(name: &str, what: &str) -> Self {
+        let bars = Self::new(name);
+        bars.steps.set_style(style(&STEPS.replace("steps", what)));
+        bars
+    }
+
     /// Hides the bars while `print` writes to the terminal.
     pub(super) fn suspended(&self, print: impl FnOnce()) {
         self.bars.suspend(print);

@@ -48,7 +48,7 @@ use crate::number::{seconds, significant};
 use crate::packages::parameter::InScenario;
 use crate::packages::{DraftError, PackageBytes, Recording};
 use crate::plant::RateFault;
-use crate::scenario::{LearningCycle, Scenario};
+use crate::scenario::{ClockSettings, LearningCycle, Method, Scenario};
 use crate::training::{EpochReport, TrainingError, TrainingReport};
 use crate::warning::Warning;
 use bounds::Bounds;
@@ -104,7 +104,17 @@ pub struct RunOptions {
 /// # Errors
 /// The error that a run would end with at its start.
 pub fn check_method(scenario: &Scenario) -> Result<(), RunError> {
+    check_support(scenario, scenario.method)?;
     if scenario.method.is_kalman() { kalman::course(scenario).map(drop) } else { Ok(()) }
+}
+
+/// Checks that a method can deal with what is in a scenario, whatever the plant does.
+///
+/// # Errors
+/// [`RunError::KalmanClock`].
+pub fn check_support(scenario: &Scenario, method: Method) -> Result<(), RunError> {
+    let has_clocks = scenario.agents.iter().any(|agent| agent.clock != ClockSettings::default());
+    if method.is_kalman() && has_clocks { Err(RunError::KalmanClock) } else { Ok(()) }
 }
 
 /// The results of a run.

@@ -440,9 +440,10 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
                 let mut records;
                 (switches, records) = learning.switches_due(tick, progress)?;
                 trainings.append(&mut records);
-                self.note_missed(&mut switches, learning.without_samples(tick));
+                self.note_untrained(learning.without_samples(tick));
             }
             self.start_field(tick, &mut switches)?;
+            self.leave_out_down(&mut switches);
             if let ControlFlow::Break(()) = self.switch(tick, switches)? {
                 self.cycles = learning.map_or_else(Vec::new, Learning::into_cycles);
                 return Ok(trainings);
@@ -516,12 +517,8 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
         Ok(())
     }
 
-    /// Leaves out the packages for agents that are down, and notes what agents miss by that.
-    fn note_missed(
-        &mut self,
-        switches: &mut Vec<Switch>,
-        without_samples: impl Iterator<Item = (usize, usize)>,
-    ) {
+    /// Notes the agents that have no samples to train with.
+    fn note_untrained(&mut self, without_samples: impl Iterator<Item = (usize, usize)>) {
         let missed = without_samples.map(|(agent, cycle)| {
             format!(
                 "agent {}, cycle {}: no samples, because it took no step in that time or had no \
@@ -531,12 +528,16 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
             )
         });
         self.missed.extend(missed);
+    }
+
+    /// Leaves out the packages for agents that are down, and notes it.
+    fn leave_out_down(&mut self, switches: &mut Vec<Switch>) {
         switches.retain(|switch| {
             let down = self.down[switch.agent];
             if down {
                 let agent = switch.agent + 1;
                 self.missed.push(format!(
-                    "agent {agent} is down when its trained network is switched in; it keeps the previous one"
+                    "agent {agent} is down when its next package is switched in; it keeps the previous one"
                 ));
             }
             !down

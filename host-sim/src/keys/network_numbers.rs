@@ -66,7 +66,9 @@ impl NetworkNumbers {
             [first, second] if second == next(first) || first == next(second) => {
                 Ok(Self { sending: first, other: Some(second) })
             }
-            [first, second] => Err(format!("network keys {first} and {second} are not consecutive")),
+            [first, second] => {
+                Err(format!("network keys {first} and {second} are not consecutive"))
+            }
             ref other => Err(format!("it lists {} network keys", other.len())),
         }
     }

@@ -138,10 +138,7 @@ impl Scenario {
     pub fn departures(&self) -> Vec<&'static str> {
         let clock = ClockSettings::default();
         [
-            (
-                !self.link.is_ideal(),
-                "links delay, lose or corrupt frames ([link])",
-            ),
+            (!self.link.is_ideal(), "links delay, lose or corrupt frames ([link])"),
             (
                 !self.agents.iter().all(|a| a.sensor.is_ideal()),
                 "measurements are not exact ([sensor])",

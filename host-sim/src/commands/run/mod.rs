@@ -23,6 +23,7 @@ use super::{
 use super::{print_outcome, print_text};
 use crate::number::significant;
 use crate::packages::PackageBytes;
+use crate::plant::Between;
 use crate::report::checks;
 use crate::report::latex::latex;
 use crate::scenario::{Method, Scenario};
@@ -203,9 +204,15 @@ fn recording_text(scenario: &Scenario) -> String {
     let Some(recorded) = scenario.plant.recording() else { return String::new() };
     let (rows, duration) = (recorded.time.len(), recorded.duration());
     format!(
-        "Recording: {rows} rows over {} s, one every {} s on average; agents step every {} s\n",
+        "Recording: {rows} rows over {} s, one every {} s on average; agents step every {} s; between rows they \
+         measure {}\n",
         significant(duration, 6),
         significant(duration / (rows - 1) as f64, 4),
         scenario.time.step_size,
+        match recorded.between {
+            Between::Hold => "the last row again",
+            Between::Linear => "the line to the next row, which a sensor could not know",
+            Between::Nothing => "nothing",
+        }
     )
 }

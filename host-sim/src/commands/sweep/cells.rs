@@ -11,11 +11,14 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
 use super::vary::{Range, Spec, Vary};
-use crate::commands::CommandError;
+use crate::commands::progress::ProgressBars;
+use crate::commands::{CommandError, ErrorCode};
+use crate::engine::{Progress as _, check_support};
 use crate::files::fnv::Fnv;
 use crate::files::input::Limited;
 use crate::files::text;
@@ -181,9 +184,16 @@ impl Cells {
         wanted: std::ops::Range<usize>,
         dimension: Option<usize>,
     ) -> Result<Loaded, CommandError> {
+        let (bars, count) = (ProgressBars::counting("checking", "cells"), self.rows.len() as u64);
+        let checked = AtomicU64::new(0);
         let load = |index: usize| -> Result<(Option<u64>, Option<Cell>), CommandError> {
+            bars.step(checked.fetch_add(1, Ordering::Relaxed), count);
             let changes = self.changes(index)?;
             let (scenario, _) = base.load(&changes)?;
+            check_support(&scenario, scenario.method).map_err(|error| {
+                let cell = changes.iter().map(|change| format!("{change}: ")).collect::<String>();
+                CommandError::new(ErrorCode::Run, format!("{cell}{error}"))
+            })?;
             if let Some(expected) = dimension.filter(|&n| n != scenario.dimension()) {
                 let found = scenario.dimension();
                 return Err(CommandError::usage(format!(

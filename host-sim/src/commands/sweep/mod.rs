@@ -43,6 +43,7 @@ use crate::number::counted;
 use crate::report::latex::latex;
 use crate::scenario::{Scenario, ScenarioSource, built_in, copied};
 use crate::terminal;
+use crate::warning::Warning;
 use cells::{Cells, Loaded};
 use earlier::Earlier;
 use report::{Repeat, Report};
@@ -179,7 +180,7 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         make_folder(&folder)?;
     }
     let study = Study::of(results.parent().unwrap_or(Path::new("")), &summary);
-    warn(&summary, study.as_ref().map(|(study, _)| study));
+    let warnings = warn(&summary, study.as_ref().map(|(study, _)| study));
     let written = write_files(&folder, arguments, &summary, results)?;
     let report = Report {
         scenario: None,
@@ -198,6 +199,7 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
         results: results.display().to_string(),
         failed: 0,
         first_failure: None,
+        warnings: &warnings,
         summary: &summary.cells,
     };
     match arguments.format {
@@ -214,9 +216,12 @@ fn summarise(arguments: &Arguments, results: &Path) -> Result<(), CommandError> 
     }
 }
 
-fn warn(summary: &Summary, study: Option<&Study>) {
+/// Prints and returns what a reader of the summary has to know.
+fn warn(summary: &Summary, study: Option<&Study>) -> Vec<Warning> {
     let all = study.map(|study| (study.runs, study.cells));
-    summary.remarks(all).iter().for_each(terminal::warning);
+    let warnings = summary.remarks(all);
+    warnings.iter().for_each(terminal::warning);
+    warnings
 }
 
 fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
@@ -271,9 +276,10 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         cells: Vec::new(),
         digest: String::new(),
     };
+    let mut warnings = Vec::new();
     if arguments.shard.is_whole() && is_complete {
         summary = Summary::read(&file)?;
-        warn(&summary, Some(&study));
+        warnings = warn(&summary, Some(&study));
         written.push(write_files(&folder, arguments, &summary, &file)?);
     }
     let first_failure = outcome.first_failure.as_ref();
@@ -296,6 +302,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
         results: file.display().to_string(),
         failed: outcome.failed,
         first_failure: first_failure.as_deref(),
+        warnings: &warnings,
         summary: &summary.cells,
     };
     let result = report::outcome(&study, &outcome, before, &file, &summary);

@@ -11,6 +11,7 @@ use super::summary::{CellSummary, Summary};
 use crate::commands::{CommandError, ErrorCode};
 use crate::number::counted;
 use crate::shell::{quoted, shell_word};
+use crate::warning::Warning;
 
 /// What the command prints as JSON.
 #[derive(Serialize)]
@@ -39,6 +40,8 @@ pub(super) struct Report<'a> {
     pub(super) failed: u64,
     /// The first of them, and why.
     pub(super) first_failure: Option<&'a str>,
+    /// About the whole table.
+    pub(super) warnings: &'a [Warning],
     /// Empty for a part of a study.
     pub(super) summary: &'a [CellSummary],
 }

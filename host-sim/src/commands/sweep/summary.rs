@@ -22,6 +22,7 @@ use crate::files::output::{FileKind, OutputError, write_result};
 use crate::files::text;
 use crate::number::{counted, significant};
 use crate::report::columns::Table;
+use crate::warning::{Warning, WarningCode};
 
 /// Name of the file.
 pub(super) const NAME: &str = "summary.csv";
@@ -153,6 +154,29 @@ struct Collected {
     runs: Vec<Option<Vec<Measured>>>,
 }
 
+/// The fewest and the most rows of a run. A run with fewer rows than others was cut off.
+#[derive(Default)]
+struct RowsOfRuns {
+    /// With the line of the run's last row.
+    fewest: Option<(u64, Option<u64>)>,
+    most: u64,
+}
+
+impl RowsOfRuns {
+    fn note(&mut self, rows: u64, line: Option<u64>) {
+        if rows > 0 && self.fewest.is_none_or(|(fewest, _)| rows < fewest) {
+            self.fewest = Some((rows, line));
+        }
+        self.most = self.most.max(rows);
+    }
+
+    /// Returns what is wrong, and the line.
+    fn cut(&self) -> Option<(String, Option<u64>)> {
+        let (fewest, line) = self.fewest.filter(|&(fewest, _)| fewest < self.most)?;
+        Some((format!("the run ends after {fewest} of {} agents", self.most), line))
+    }
+}
+
 impl Collected {
     fn summary(self) -> CellSummary {
         let complete: Vec<&Vec<Measured>> = self.runs.iter().flatten().collect();
@@ -199,6 +223,11 @@ impl Summary {
         let mut cells: Vec<CellSummary> = Vec::new();
         let mut current: Option<Collected> = None;
         let (mut seen, mut next) = (BTreeSet::new(), 1);
+        // Only keys that begin so can change the number of agents.
+        let is_fixed = header[..keys]
+            .iter()
+            .all(|key| !["agents", "graph", "plant"].iter().any(|k| key.starts_with(k)));
+        let (mut sizes, mut line) = (RowsOfRuns::default(), None);
         for record in reader.records() {
             let record = record.map_err(|error| match error.kind() {
                 csv::ErrorKind::Io(error) => refused(None, &format!("cannot be read: {error}")),
@@ -208,7 +237,16 @@ impl Summary {
             let row = Row::read(&record, keys, is_recorded)
                 .ok_or_else(|| refused(number, "invalid row"))?;
             let is_same = current.as_ref().is_some_and(|cell| cell.values == row.values);
+            let is_new_run = row.agent == 1
+                || !is_same
+                || current.as_ref().is_some_and(|cell| cell.last.as_ref() != Some(&row.run));
+            if is_new_run {
+                sizes.note(next - 1, line);
+            }
             if !is_same {
+                if !is_fixed && let Some((problem, line)) = std::mem::take(&mut sizes).cut() {
+                    return Err(refused(line, &problem));
+                }
                 cells.extend(current.take().map(Collected::summary));
             }
             let cell = current.get_or_insert_with(|| Collected {
@@ -216,7 +254,7 @@ impl Summary {
                 last: None,
                 runs: Vec::new(),
             });
-            if cell.last.as_ref() != Some(&row.run) || row.agent == 1 {
+            if is_new_run {
                 if !seen.insert((row.values, row.run.clone())) {
                     return Err(refused(number, "a run that is in the table already"));
                 }
@@ -228,12 +266,17 @@ impl Summary {
                 return Err(refused(number, &format!("agent {}, expected {next}", row.agent)));
             }
             next += 1;
+            line = number;
             if let Some(run) = cell.runs.last_mut() {
                 match (row.measured, run.as_mut()) {
                     (Some(measured), Some(agents)) => agents.push(measured),
                     _ => *run = None,
                 }
             }
+        }
+        sizes.note(next - 1, line);
+        if let Some((problem, line)) = sizes.cut() {
+            return Err(refused(line, &problem));
         }
         cells.extend(current.map(Collected::summary));
         if cells.is_empty() {
@@ -245,7 +288,7 @@ impl Summary {
 
     /// Returns what a reader has to know to draw the right conclusions. `all` are the runs and cells of the complete
     /// study, if they are known.
-    pub(super) fn remarks(&self, all: Option<(u64, usize)>) -> Vec<String> {
+    pub(super) fn remarks(&self, all: Option<(u64, usize)>) -> Vec<Warning> {
         let missing = all.filter(|&(runs, _)| runs > self.runs()).map(|(runs, cells)| {
             format!(
                 "the study is not complete: the table has {} of {runs} runs, and {} of {cells} cells; let the study run to its end, \
@@ -254,10 +297,14 @@ impl Summary {
                 self.cells.len(),
             )
         });
-        [missing.or_else(|| self.incomplete()), self.without_effect(), self.without_spread()]
-            .into_iter()
-            .flatten()
-            .collect()
+        [
+            (WarningCode::IncompleteStudy, missing.or_else(|| self.incomplete())),
+            (WarningCode::WithoutEffect, self.without_effect()),
+            (WarningCode::WithoutSpread, self.without_spread()),
+        ]
+        .into_iter()
+        .filter_map(|(code, text)| Some(Warning::new(code, text?)))
+        .collect()
     }
 
     /// Says so if all cells have the same results.

@@ -21,11 +21,11 @@ use super::simulated_plant::SimulatedPlant;
 use super::state_size::StateSize;
 use super::statistics::AgentStatistics;
 use super::traces::{Traces, squared_error};
-use super::{Progress, RunError, RunOptions, RunResult};
+use super::{Progress, RunError, RunOptions, RunResult, check_support};
 use crate::files::fnv::Fnv;
 use crate::flow::{Trajectory, plant_course};
 use crate::learning::agent_config::agent_id;
-use crate::scenario::{ClockSettings, Method, Scenario, Time};
+use crate::scenario::{Method, Scenario, Time};
 use filter::{Filter, Model};
 
 /// Radius of the trigger relative to the state's standard deviation, as `observer.error`.
@@ -82,9 +82,7 @@ struct Simulation<'s> {
 /// # Errors
 /// The scenario has what the filters do not support, or the plant diverges.
 pub(super) fn course(scenario: &Scenario) -> Result<Trajectory, RunError> {
-    if scenario.agents.iter().any(|agent| agent.clock != ClockSettings::default()) {
-        return Err(RunError::KalmanClock);
-    }
+    check_support(scenario, scenario.method)?;
     plant_course(scenario).map_err(RunError::KalmanSettings)
 }
 

@@ -154,8 +154,7 @@ fn read(value: &Value<'_>, path: &Path) -> Result<(Recorded, Vec<u64>), Scenario
         .trim(csv::Trim::All)
         .from_reader(bytes.as_slice());
     let wrong = |problem: String, hint: &str| value.error(format!("{shown}: {problem}"), hint);
-    let table =
-        "write a header line with the columns' names, then one row for each time";
+    let table = "write a header line with the columns' names, then one row for each time";
     let names = reader.headers().map_err(|error| wrong(error.to_string(), table))?;
     let names: Vec<String> = names.iter().map(str::to_owned).collect();
     if names.is_empty() {

@@ -75,9 +75,7 @@ pub enum ServiceError {
     #[error("the node is not provisioned; {hint}", hint = of_refusal(Problem::NotProvisioned))]
     NotProvisioned,
     /// Every counter of the node's epoch has been used.
-    #[error(
-        "the node's counter of sealed requests is exhausted; power-cycle it, and try again"
-    )]
+    #[error("the node's counter of sealed requests is exhausted; power-cycle it, and try again")]
     CounterUsedUp,
     /// The operating system provides no random numbers.
     #[error(
