@@ -182,6 +182,12 @@ fn a_method_that_cannot_deal_with_a_scenario_is_refused_before_a_run() {
         assert_eq!(output.status.code(), Some(1), "{command}");
         assert!(texts(&output).1.contains("no clocks of their own"), "{command}: {output:?}");
     }
+    let error =
+        folder.fail("sweep deployment --vary method=observer,extended-kalman --out study", 1);
+    assert!(error.contains("method=extended-kalman: "), "{error}");
+    assert!(!folder.path("study").exists());
+    let error = folder.fail("run deployment --baselines known-f,kalman", 2);
+    assert!(error.contains("--baselines kalman: "), "{error}");
 }
 
 #[test]
@@ -204,7 +210,7 @@ fn a_method_that_fails_or_extrapolates_says_what_fits_it() {
     };
     let failed = text("baseline-failed");
     assert!(
-        failed.contains("method periodic failed") && failed.contains("fixed times"),
+        failed.contains("method periodic failed") && failed.contains("periodic broadcasts"),
         "{failed}"
     );
     assert!(failed.ends_with("not a fault of the scenario"), "{failed}");

@@ -450,6 +450,8 @@ fn what_is_missing_or_has_no_effect_is_said() {
     fs::write(folder.path("out/results.csv"), rows).unwrap();
     let part = warnings("sweep --summarise out/results.csv");
     assert!(part.contains("the table has 3 of 12 runs, and 2 of 6 cells"), "{part}");
+    let json = object(&folder.succeed("sweep --summarise out/results.csv --format json"));
+    assert_eq!(json["warnings"][0]["code"], "incomplete-study", "{json}");
     folder.succeed("report out");
     assert!(text(&folder, "out/report.html").contains("\"runs\":12"));
 }

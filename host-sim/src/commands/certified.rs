@@ -10,9 +10,11 @@
 //! the limit of the disturbance estimate. Nothing is certified where the scenario departs from what
 //! the theorems allow for, apart from the observer itself.
 
+use agent_core::agent::exchange::ExchangeParams;
 use agent_core::observer::field::{Coupling, FieldParams, FieldWords};
 use agent_core::observer::network::Scratch;
 use nalgebra::{DMatrix, DVector};
+use thiserror::Error;
 
 use crate::analysis::{
     GainCertificate, TriggerConstants, UltimateBound, laplacian_norm, spectral_norm,
@@ -33,56 +35,126 @@ const RELAY_SHARE_MAX: f64 = 0.9;
 const STRIDE: usize = 10;
 
 /// Returns the certified bound on `|e_1|`, all agents stacked, after a long time, with the network in use after these
-/// trainings; `None` without a certificate. \[state unit\]
-pub(super) fn bound(scenario: &Scenario, trainings: &[TrainingRecord]) -> Option<f64> {
-    let own = usize::from(scenario.observer.is_some());
-    let is_robust = scenario.observer.as_ref().is_some_and(|observer| observer.exchange.is_some());
-    if is_robust || scenario.trigger.departure().is_some() || scenario.departures().len() > own {
-        return None;
+/// trainings. \[state unit\]
+///
+/// # Errors
+/// Why nothing is certified.
+pub(super) fn bound(scenario: &Scenario, trainings: &[TrainingRecord]) -> Result<f64, Vec<String>> {
+    let reasons = departures(scenario);
+    if !reasons.is_empty() {
+        return Err(reasons);
     }
     let bound = match &scenario.observer {
         None => {
             let gain = GainCertificate::new(scenario);
-            let rho = largest_disturbance(scenario, None)?;
-            theorem1(scenario, gain.eigenvalue_min - gain.uncertainty, rho)
+            let rho = largest_disturbance(scenario, None);
+            rho.and_then(|rho| theorem1(scenario, gain.eigenvalue_min - gain.uncertainty, rho))
         }
-        Some(observer) if observer.coupling == Coupling::Held => held(scenario, observer),
         Some(observer) if observer.coupling == Coupling::Trees => {
-            with_node_dimension!(scenario.dimension(), trees(scenario, observer, trainings), else None)
+            with_node_dimension!(
+                scenario.dimension(),
+                trees(scenario, observer, trainings),
+                else Err(NotCertified::NotComputed)
+            )
         }
-        Some(_) => None,
+        Some(observer) => held(scenario, observer),
     };
-    bound.filter(|bound| bound.is_finite())
+    bound.map_err(|reason| vec![reason.to_string()])
+}
+
+/// Returns what the theorems do not allow for, apart from the observer itself.
+fn departures(scenario: &Scenario) -> Vec<String> {
+    let mut reasons: Vec<String> = scenario
+        .trigger
+        .departure()
+        .map(|when| format!("agents broadcast {when}"))
+        .into_iter()
+        .collect();
+    // Heartbeats and repetitions only reset hold errors.
+    let resets =
+        ExchangeParams { heartbeat: 0, repeat: 0, ..scenario.exchange } == ExchangeParams::PAPER;
+    let allowed =
+        |clause: &str| clause.contains("[observer]") || (resets && clause.contains("[exchange]"));
+    reasons.extend(
+        scenario.departures().into_iter().filter(|clause| !allowed(clause)).map(str::to_owned),
+    );
+    match &scenario.observer {
+        Some(observer) if observer.exchange.is_some() => {
+            reasons.push("the preset \"robust\" sets gaps, repetitions and a heartbeat".to_owned());
+        }
+        _ => {}
+    }
+    if scenario.observer.as_ref().is_some_and(|observer| observer.coupling == Coupling::Current) {
+        reasons.push("the certificate of current estimates is not computed".to_owned());
+    }
+    reasons
+}
+
+/// Why a theorem's bound does not hold, or is not known.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+enum NotCertified {
+    #[error("its inequality does not hold for these gains")]
+    Inequality,
+    #[error("relays announce at more than {RELAY_SHARE_MAX} of the radius (observer.relay_share)")]
+    RelayShare,
+    #[error(
+        "outer weights adapt (observer.adapts), which the theorem for trees does not allow for"
+    )]
+    Adapts,
+    #[error(
+        "a gain of {gain} 1/s times the step is {product}, and the bound holds up to 1: use a shorter time.step, or a \
+         smaller observer.root_gain or observer.tree_gain",
+        product = gain * step
+    )]
+    Step { gain: f64, step: f64 },
+    #[error(
+        "with a coupling of {coupling} 1/s the error is unstable at steps of {step} s: use a shorter time.step, or a \
+         smaller observer.root_gain or observer.tree_gain"
+    )]
+    Unstable { coupling: f64, step: f64 },
+    #[error("its bound is not computed for this scenario")]
+    NotComputed,
 }
 
 /// Returns Theorem 1's bound for this smallest eigenvalue and `rho` of one agent: `delta` is not in the
 /// trigger, so the analysis is free to choose it.
-fn theorem1(scenario: &Scenario, eigenvalue: f64, rho: f64) -> Option<f64> {
-    let bound = UltimateBound::new(scenario)?;
+fn theorem1(scenario: &Scenario, eigenvalue: f64, rho: f64) -> Result<f64, NotCertified> {
+    let bound = UltimateBound::new(scenario).ok_or(NotCertified::NotComputed)?;
     let room = eigenvalue - scenario.design.k2;
     let agents = scenario.agents.len() as f64;
     let delta = agents * rho * rho / room;
     let squared = bound.weight_error + 2.0 * (delta + scenario.design.epsilon) / bound.alpha;
-    (room > 0.0).then_some(squared.sqrt())
+    let radius = squared.sqrt();
+    if room > 0.0 && radius.is_finite() { Ok(radius) } else { Err(NotCertified::Inequality) }
 }
 
 /// The graph coupling with separate gains.
-fn held(scenario: &Scenario, observer: &ObserverSettings) -> Option<f64> {
+fn held(scenario: &Scenario, observer: &ObserverSettings) -> Result<f64, NotCertified> {
     let agents = scenario.agents.len();
-    if agents > AGENTS_MAX {
-        return None;
-    }
-    let (root, tree) = (observer.root_gain.as_ref()?, observer.tree_gain.as_ref()?);
-    let radius = observer.radius.as_ref()?.iter().copied().fold(f64::INFINITY, f64::min);
-    let plan = Plan::new(scenario).ok()??;
+    let (Some(root), Some(tree), Some(radii), Ok(Some(plan)), true) = (
+        &observer.root_gain,
+        &observer.tree_gain,
+        &observer.radius,
+        Plan::new(scenario),
+        agents <= AGENTS_MAX,
+    ) else {
+        return Err(NotCertified::NotComputed);
+    };
+    let radius = radii.iter().copied().fold(f64::INFINITY, f64::min);
     let geometry = plan.geometry();
     let laplacian = scenario.graph.laplacian();
-    let smallest = |c: usize| {
+    let eigenvalues = |c: usize| {
         let measured = |i: usize| if geometry.is_root(i, c) { root[c] } else { 0.0 };
         let own = DMatrix::from_diagonal(&DVector::from_fn(agents, |i, _| measured(i)));
-        (own + &laplacian * tree[c]).symmetric_eigenvalues().min()
+        (own + &laplacian * tree[c]).symmetric_eigenvalues()
     };
-    let eigenvalue = (0..scenario.dimension()).map(smallest).fold(f64::INFINITY, f64::min);
+    let eigenvalues: Vec<_> = (0..scenario.dimension()).map(eigenvalues).collect();
+    let eigenvalue = eigenvalues.iter().map(DVector::min).fold(f64::INFINITY, f64::min);
+    let (coupling, step) =
+        (eigenvalues.iter().map(DVector::max).fold(0.0, f64::max), scenario.time.step_size);
+    if coupling * step >= 2.0 {
+        return Err(NotCertified::Unstable { coupling, step });
+    }
     let rho = largest_disturbance(scenario, Some(&geometry.transform))?;
     // The same trigger as agents run, in the terms of the paper's form.
     let mut scenario = scenario.clone();
@@ -91,7 +163,7 @@ fn held(scenario: &Scenario, observer: &ObserverSettings) -> Option<f64> {
     let design = &mut scenario.design;
     let phi1 = 0.5 * design.k2 + 0.5 * design.kappa * size * size;
     design.epsilon = agents as f64 * phi1 * radius * radius;
-    Some(theorem1(&scenario, eigenvalue, rho)? * spectral_norm(&geometry.inverse))
+    Ok(theorem1(&scenario, eigenvalue, rho)? * spectral_norm(&geometry.inverse))
 }
 
 /// Trees.
@@ -99,20 +171,29 @@ fn trees<const N: usize>(
     scenario: &Scenario,
     observer: &ObserverSettings,
     trainings: &[TrainingRecord],
-) -> Option<f64> {
+) -> Result<f64, NotCertified> {
     if observer.relay_share > RELAY_SHARE_MAX {
-        return None;
+        return Err(NotCertified::RelayShare);
     }
-    let plan = Plan::new(scenario).ok()??;
-    let equipped = equipped(scenario, &plan, trainings)?.ok()?;
-    let field = FieldParams::<N>::from_words(FieldWords(equipped.package().node.field)).ok()?;
+    let Ok(Some(plan)) = Plan::new(scenario) else { return Err(NotCertified::NotComputed) };
+    let Some(Ok(equipped)) = equipped(scenario, &plan, trainings) else {
+        return Err(NotCertified::NotComputed);
+    };
+    let field = FieldParams::<N>::from_words(FieldWords(equipped.package().node.field))
+        .map_err(|_| NotCertified::NotComputed)?;
     if field.options.adapts {
-        return None;
+        return Err(NotCertified::Adapts);
     }
     let numbers = |of: fn(&agent_core::observer::field::Direction) -> f32| -> Vec<f64> {
         field.directions.iter().map(|direction| f64::from(of(direction))).collect()
     };
     let (roots, trees) = (numbers(|d| d.root_gain), numbers(|d| d.tree_gain));
+    // Theorem F2 at steps; rounded to single precision, a gain may be above by that.
+    let step = scenario.time.step_size;
+    let gain = roots.iter().chain(&trees).copied().fold(0.0, f64::max);
+    if gain * step > 1.0 + 1e-6 {
+        return Err(NotCertified::Step { gain, step });
+    }
     let (radii, clips) = (numbers(|d| d.radius), numbers(|d| d.model.clip));
     let geometry = plan.geometry();
     let certificate = Certificate::new(plan.trees(), geometry, &roots, &trees, true);
@@ -122,7 +203,8 @@ fn trees<const N: usize>(
     let agents = scenario.agents.len();
     let rho = (agents as f64).sqrt() * (residual + limit);
     let bound = ultimate(&certificate, rho, &radii, agents);
-    Some(bound.radius * spectral_norm(&geometry.inverse))
+    let radius = bound.radius * spectral_norm(&geometry.inverse);
+    if radius.is_finite() { Ok(radius) } else { Err(NotCertified::Inequality) }
 }
 
 /// Returns the package of agent 1 with the observer's parameters, for the network in use after these trainings;
@@ -156,7 +238,10 @@ fn in_use(scenario: &Scenario, trainings: &[TrainingRecord]) -> Option<PackageBy
 }
 
 /// Returns the largest `|T d|` along the plant's trajectory.
-fn largest_disturbance(scenario: &Scenario, transform: Option<&DMatrix<f64>>) -> Option<f64> {
+fn largest_disturbance(
+    scenario: &Scenario,
+    transform: Option<&DMatrix<f64>>,
+) -> Result<f64, NotCertified> {
     largest_rate(scenario, transform, |time, state, rate| {
         scenario.disturbance.evaluate(time, state, rate);
         Some(())
@@ -170,7 +255,7 @@ fn largest_residual<const N: usize>(
     transform: &DMatrix<f64>,
     network: Option<&PackageBytes>,
     field: &FieldParams<N>,
-) -> Option<f64> {
+) -> Result<f64, NotCertified> {
     let mut drift = vec![0.0; N];
     let mut scratch = Scratch::NEW;
     largest_rate(scenario, Some(transform), |time, state, rate| {
@@ -194,16 +279,60 @@ fn largest_rate(
     scenario: &Scenario,
     transform: Option<&DMatrix<f64>>,
     mut write: impl FnMut(f64, &[f64], &mut [f64]) -> Option<()>,
-) -> Option<f64> {
-    let course = plant_course(scenario).ok()?;
+) -> Result<f64, NotCertified> {
+    let course = plant_course(scenario).map_err(|_| NotCertified::NotComputed)?;
     let mut rate = vec![0.0; scenario.dimension()];
     let from = scenario.observer.as_ref().map_or(0.0, |observer| observer.from);
     let mut largest = 0.0f64;
     for k in (scenario.time.tick(from) as usize..course.samples()).step_by(STRIDE) {
-        write(scenario.time.at(k as u64), course.state(k), &mut rate)?;
+        write(scenario.time.at(k as u64), course.state(k), &mut rate)
+            .ok_or(NotCertified::NotComputed)?;
         let rate = DVector::from_column_slice(&rate);
         largest =
             largest.max(transform.map_or(rate.norm(), |transform| (transform * &rate).norm()));
     }
-    Some(largest)
+    Ok(largest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::PAPER;
+
+    fn certified(settings: &str) -> Result<f64, Vec<String>> {
+        let tables = format!("{settings}\n[evaluation]");
+        let text = PAPER.replacen("[evaluation]", &tables, 1);
+        let mut scenario = Scenario::parse("paper", &text).unwrap();
+        scenario.learning.clear();
+        bound(&scenario, &[])
+    }
+
+    #[test]
+    fn a_bound_has_the_premises_of_its_theorem() {
+        let field = "[observer]\npreset = \"field\"\n";
+        let bound = certified(field).unwrap();
+        let resets = "[exchange]\nheartbeat = 0.3\nrepeat = 0.03\n";
+        assert_eq!(certified(&format!("{field}{resets}")), Ok(bound));
+        for (settings, reason) in [
+            (
+                "tree_gain = 1500.0",
+                "a gain of 1500 1/s times the step is 1.5, and the bound holds up to 1",
+            ),
+            ("root_gain = 1500.0", "a gain of 1500 1/s times the step is 1.5"),
+            ("relay_share = 1.0", "(observer.relay_share)"),
+            (
+                "coupling = \"current\"\nradius = 0.1\nroot_gain = 100.0\ntree_gain = 100.0",
+                "current estimates",
+            ),
+            (
+                "coupling = \"held\"\nradius = 0.1\nroot_gain = 100.0\ntree_gain = 900.0",
+                "the error is unstable at steps of 0.001 s",
+            ),
+            ("[exchange]\ngap = 0.01", "([exchange])"),
+        ] {
+            let found = certified(&format!("{field}{settings}\n"));
+            let reasons = found.expect_err(settings);
+            assert!(reasons.concat().contains(reason), "{settings}: {reasons:?}");
+        }
+    }
 }

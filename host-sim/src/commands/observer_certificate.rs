@@ -2,8 +2,6 @@
 
 use serde::Serialize;
 
-use agent_core::observer::field::Coupling;
-
 use crate::engine::{RunError, TrainingRecord};
 use crate::flow::Plan;
 use crate::number::significant;
@@ -26,28 +24,11 @@ impl ObserverCertificate {
     /// Returns what is certified with the network in use after these trainings; `None` for the paper's observer, which the
     /// theorems' checks cover.
     pub(super) fn new(scenario: &Scenario, trainings: &[TrainingRecord]) -> Option<Self> {
-        let observer = scenario.observer.as_ref()?;
-        let bound = certified::bound(scenario, trainings);
-        let mut reasons = Vec::new();
-        if bound.is_none() {
-            reasons.extend(
-                scenario.trigger.departure().map(|when| format!("agents broadcast {when}")),
-            );
-            let departures = scenario.departures().into_iter().map(str::to_owned);
-            reasons.extend(departures.filter(|clause| !clause.contains("[observer]")));
-            if observer.exchange.is_some() {
-                reasons.push(
-                    "the preset \"robust\" sets gaps, repetitions and a heartbeat".to_owned(),
-                );
-            }
-            if observer.coupling == Coupling::Current {
-                reasons.push("the certificate of current estimates is not computed".to_owned());
-            }
-            if reasons.is_empty() {
-                reasons.push("its inequality does not hold for these gains".to_owned());
-            }
-        }
-        Some(Self { certified: bound.is_some(), bound, reasons })
+        scenario.observer.as_ref()?;
+        Some(match certified::bound(scenario, trainings) {
+            Ok(bound) => Self { certified: true, bound: Some(bound), reasons: Vec::new() },
+            Err(reasons) => Self { certified: false, bound: None, reasons },
+        })
     }
 
     pub(super) fn text(&self) -> String {

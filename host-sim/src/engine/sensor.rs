@@ -96,7 +96,9 @@ impl Sensor {
         value = value.clamp(low, high);
         if let Some(bits) = bits {
             let resolution = (high - low) / (1_u64 << bits) as f64;
-            value = low + ((value - low) / resolution).round() * resolution;
+            // The highest of 2^bits codes is one below the end of the range.
+            let code = ((value - low) / resolution).round().min((1_u64 << bits) as f64 - 1.0);
+            value = low + code * resolution;
         }
         value
     }
@@ -147,7 +149,7 @@ mod tests {
         let settings =
             SensorSettings { range: Some([-4.0, 4.0]), bits: Some(3), ..SensorSettings::default() };
         for (exact, expected) in
-            [(0.4, 0.0), (0.6, 1.0), (-3.9, -4.0), (9.0, 4.0), (-9.0, -4.0), (2.51, 3.0)]
+            [(0.4, 0.0), (0.6, 1.0), (-3.9, -4.0), (9.0, 3.0), (-9.0, -4.0), (2.51, 3.0)]
         {
             assert_eq!(samples(settings, exact, 1), [Some(expected)], "{exact}");
         }

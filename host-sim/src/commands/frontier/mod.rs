@@ -115,7 +115,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let (target, target_label) = target(arguments, &scenario, &settings);
     let window = scenario.evaluation.to - scenario.evaluation.from;
-    let best = summary::best(&settings, &target, &scenario.graph, window);
+    let best = match target.is_empty() {
+        true => Vec::new(),
+        false => summary::best(&settings, &target, &scenario.graph, window),
+    };
     let report = Report {
         scenario: &scenario.name,
         seed,
@@ -251,7 +254,8 @@ fn carry_out(
     Ok((variants, points))
 }
 
-/// Returns the target of each agent, and what it is.
+/// Returns the target of each agent, and what it is; none if it is the error of the paper's observer, which has no
+/// result.
 fn target(
     arguments: &Arguments,
     scenario: &Scenario,
@@ -265,8 +269,9 @@ fn target(
         return (PUBLISHED.iter().map(|row| row.rmse_with).collect(), "the paper's Table 1");
     }
     let own = settings.iter().find(|setting| setting.is_own);
-    let worst = own.and_then(|own| own.errors()).map_or(0.0, |errors| errors.max);
-    (vec![worst; agents], "the largest error of the paper's observer")
+    let target =
+        own.and_then(|own| own.errors()).map_or(Vec::new(), |errors| vec![errors.max; agents]);
+    (target, "the largest error of the paper's observer")
 }
 
 fn write_files(
@@ -314,7 +319,7 @@ fn picture(
             None => forms.push(FrontierForm { name, points: vec![point] }),
         }
     }
-    if forms.is_empty() {
+    if forms.is_empty() || report.target.is_empty() {
         return None;
     }
     let extreme =

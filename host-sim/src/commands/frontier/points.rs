@@ -135,7 +135,7 @@ impl Study {
                 point.broadcasts = Some(point.frames.iter().map(|frames| frames.count).sum());
                 point.bytes = Some(point.frames.iter().map(|frames| frames.bytes).sum());
                 point.rmse = result.agents.iter().map(|agent| agent.rmse()).collect();
-                point.bound = certified::bound(&scenario, &result.trainings);
+                point.bound = certified::bound(&scenario, &result.trainings).ok();
                 point.certified = point.bound.is_some();
             }
             Err(error) => {

@@ -547,6 +547,34 @@ mod tests {
     }
 
     #[test]
+    fn a_run_that_was_cut_off_is_refused() {
+        let row = |cell: &str, seed: u64, agent: u64| {
+            format!("{cell},{seed},1,{agent},0.1,5,50,0.5,false\n")
+        };
+        let run = |cell: &str, seed: u64, agents: u64| -> String {
+            (1..=agents).map(|agent| row(cell, seed, agent)).collect()
+        };
+        let whole = [run("a", 0, 3), run("a", 1, 3), run("b", 0, 3), run("b", 1, 3)];
+        assert_eq!(read("whole", &format!("{HEADER}{}", whole.concat())).unwrap().runs(), 4);
+        for (cut, agents, line) in [(0, 2, 3), (1, 1, 5), (2, 2, 9), (3, 1, 11)] {
+            let mut rows = whole.clone();
+            rows[cut] = run(&rows[cut][..1], cut as u64 % 2, agents);
+            let error = read("cut", &format!("{HEADER}{}", rows.concat())).unwrap_err();
+            let expected = format!(":{line}: the run ends after {agents} of 3 agents");
+            assert!(error.contains(&expected), "{error}");
+        }
+        // Diverged runs have a row for each agent, too.
+        let diverged = format!("{}b,0,1,1,,,,,true\n", run("a", 0, 2));
+        assert!(read("diverged", &format!("{HEADER}{diverged}")).is_err());
+        // A cell can have other agents than the next.
+        let graphs = HEADER.replacen('k', "graph.edges", 1);
+        let rows = [run("a", 0, 3), run("b", 0, 2)].concat();
+        assert_eq!(read("graphs", &format!("{graphs}{rows}")).unwrap().runs(), 2);
+        let rows = [run("a", 0, 3), run("b", 0, 2), run("b", 1, 3)].concat();
+        assert!(read("graphs", &format!("{graphs}{rows}")).is_err());
+    }
+
+    #[test]
     fn a_cell_without_any_result_has_no_numbers() {
         let summary = read("none", &format!("{HEADER}a,0,1,1,,,,,true\n")).unwrap();
         assert_eq!((summary.cells[0].diverged, summary.cells[0].all.rmse), (1, None));

@@ -204,6 +204,16 @@ pub(in crate::scenario) fn observer(
     let per_direction = |key: &str, example: &str| {
         table.get(key, example).map(|value| positives(&value, n)).transpose()
     };
+    let root_gain = per_direction("root_gain", "113.0")?;
+    let unstable = |gain: &&f64| **gain * time.step_size >= 2.0;
+    if let (Some(value), Some(gain)) =
+        (table.get("root_gain", "113.0"), root_gain.iter().flatten().find(unstable))
+    {
+        return Err(value.error(
+            format_args!("{gain} 1/s is unstable at steps of {} s", time.step_size),
+            format_args!("use a gain below {}", 2.0 / time.step_size),
+        ));
+    }
     let positive =
         |key: &str, example: &str| table.get(key, example).map(|v| v.positive()).transpose();
     let radius = per_direction("radius", "0.06")?;
@@ -224,7 +234,7 @@ pub(in crate::scenario) fn observer(
         adapts: table
             .get("adapts", "false")
             .map_or(Ok(coupling != Coupling::Trees), |value| value.boolean())?,
-        root_gain: per_direction("root_gain", "113.0")?,
+        root_gain,
         tree_gain: per_direction("tree_gain", "100.0")?,
         radius,
         disturbance: disturbance(&table, coupling, n)?,
