@@ -42,7 +42,7 @@ pub enum WarningCode {
     LongSmoothing,
     /// Fewer training values than parameters.
     FewSamples,
-    /// The trained network was not switched in.
+    /// A trained network, or the field observer, was not switched in.
     NotSwitchedIn,
     /// The baseline run failed.
     BaselineFailed,

@@ -1,9 +1,15 @@
 //! Links, sensors, clocks and nodes as they are, in whole runs: what they change, and that nothing else
 //! changes.
 
+use std::ops::ControlFlow;
+
+use agent_core::Tick;
 use agent_core::agent::exchange::ExchangeParams;
 use host_sim::engine::link::{Layered, Lossless};
-use host_sim::engine::{RunOptions, RunResult, Silent, run, run_over};
+use host_sim::engine::run_observer::{AgentStart, AgentStep, Switch};
+use host_sim::engine::{
+    RunObserver, RunObserverError, RunOptions, RunResult, Silent, run, run_observed, run_over,
+};
 use host_sim::scenario::{
     ClockSettings, Downtime, EdgeSettings, PAPER, Scenario, SensorSettings, Window, built_in,
 };
@@ -200,9 +206,9 @@ fn a_late_joiner_says_nothing_before_and_a_stopped_agent_nothing_after() {
     assert!(result.agents[0].max_error().unwrap() < 20.0);
 }
 
-/// Three seconds with a short training that is applied at 1 s, and one agent down for some time.
-fn learning_while_down(agent: usize, window: Window, is_replaced: bool) -> RunResult {
-    let mut text = PAPER.to_owned();
+/// Three seconds with a short training that is applied at 1 s, and these tables.
+fn early_learning(tables: &str) -> Scenario {
+    let mut text = format!("{PAPER}\n{tables}");
     for (from, to) in [
         ("collect_from = 10.0", "collect_from = 0.2"),
         ("collect_to = 16.0", "collect_to = 0.8"),
@@ -215,10 +221,56 @@ fn learning_while_down(agent: usize, window: Window, is_replaced: bool) -> RunRe
         text = text.replace(from, to);
     }
     let learns = Scenario::parse("early", &text).unwrap();
+    let Scenario { learning, recipes, observer, .. } = learns;
+    Scenario { learning, recipes, observer, ..paper(3.0) }
+}
+
+/// A run of that with one agent down for some time.
+fn learning_while_down(agent: usize, window: Window, is_replaced: bool) -> RunResult {
     let life = vec![Downtime { agent, window, is_replaced }];
-    let Scenario { learning, recipes, .. } = learns;
-    let scenario = Scenario { life, learning, recipes, ..paper(3.0) };
+    let scenario = Scenario { life, ..early_learning("") };
     run(&scenario, RunOptions { learning: true, ..OPTIONS }, &Silent).unwrap()
+}
+
+/// Notes the number of samples with which the network of each package was trained that is switched in, with the
+/// tick and the agent.
+#[derive(Default)]
+struct Switches(Vec<(Tick, usize, u32)>);
+
+impl RunObserver for Switches {
+    fn begin(&mut self, _: &[AgentStart<'_>]) -> Result<(), RunObserverError> {
+        Ok(())
+    }
+
+    fn before_step(
+        &mut self,
+        tick: Tick,
+        switches: &mut Vec<Switch>,
+    ) -> Result<ControlFlow<()>, RunObserverError> {
+        self.0.extend(
+            switches.iter().map(|s| (tick, s.agent, s.package.package().provenance.samples)),
+        );
+        Ok(ControlFlow::Continue(()))
+    }
+
+    fn after_step(&mut self, _: Tick, _: &[Option<AgentStep<'_>>]) -> Result<(), RunObserverError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_network_that_was_missed_does_not_come_with_the_field_observer() {
+    let window = Window { from: 0.9, to: 1.1 };
+    let life = vec![Downtime { agent: 1, window, is_replaced: false }];
+    let scenario = Scenario { life, ..early_learning("[observer]\nfrom = 1.5\n") };
+    let mut switches = Switches::default();
+    let options = RunOptions { learning: true, ..OPTIONS };
+    let result = run_observed(&scenario, &mut switches, options, &Silent).unwrap();
+    assert_eq!(result.missed.len(), 1, "{:?}", result.missed);
+    let trained: Vec<_> = switches.0.iter().map(|&(tick, agent, n)| (tick, agent, n > 0)).collect();
+    let expected =
+        [(1_000, 0, true), (1_000, 2, true), (1_500, 0, true), (1_500, 1, false), (1_500, 2, true)];
+    assert_eq!(trained, expected);
 }
 
 #[test]

@@ -9,6 +9,7 @@ use super::baselines::{Baseline, Baselines};
 use super::health::HealthReport;
 use super::seeds::Spread;
 use crate::engine::RunResult;
+use crate::engine::link::Effect;
 use crate::files::output::OutputError;
 use crate::files::table::{Row, write_table};
 use crate::report::columns::{Table, aligned};
@@ -144,9 +145,9 @@ pub(super) fn traffic(result: &RunResult, agents: &[AgentReport]) -> String {
     );
     let (mut losses, mut others) = (Vec::new(), Vec::new());
     for did in result.layers.iter().filter(|did| did.count > 0) {
-        match LOSSES.iter().find(|(layer, _)| *layer == did.layer) {
-            Some((_, how)) => losses.push(format!("{} {how}", did.count)),
-            None => others.push(format!("{} {}", did.count, effect(did.layer))),
+        match did.effect {
+            Effect::Loses(how) => losses.push(format!("{} {how}", did.count)),
+            Effect::Alters(how) => others.push(format!("{} {how}", did.count)),
         }
     }
     for (heading, entries) in [("lost", losses), ("delayed or changed", others)] {
@@ -156,27 +157,6 @@ pub(super) fn traffic(result: &RunResult, agents: &[AgentReport]) -> String {
     }
     text.push('\n');
     text
-}
-
-/// Layers of a link that lose frames, and how: copies, and of the medium frames to all neighbours.
-const LOSSES: [(&str, &str); 6] = [
-    ("loss", "by independent loss"),
-    ("burst", "in bursts"),
-    ("connection", "over edges that were gone"),
-    ("receiver-down", "because the receiver was down"),
-    ("replaced", "frames that newer ones replaced while they waited for the medium"),
-    ("sender-down", "frames whose sender went down while they waited"),
-];
-
-/// Returns what another layer did; its name, if it is not known here.
-fn effect(layer: &str) -> &str {
-    match layer {
-        "delay" => "delayed",
-        "duplicate" => "delivered twice",
-        "corrupt" => "with changed bytes",
-        "waiting-steps" => "steps of waiting for the medium",
-        other => other,
-    }
 }
 
 fn rmse(agent: &AgentReport) -> Option<f64> {
@@ -269,10 +249,8 @@ mod tests {
         let options = RunOptions { seed: 0, learning: false, bounds: false };
         let result = run(&scenario, options, &Silent).unwrap();
         let text = traffic(&result, &[]);
-        for LayerCount { layer, count } in result.layers {
-            let how = LOSSES.iter().find(|(known, _)| *known == layer).map(|(_, how)| *how);
-            let what = how.unwrap_or(effect(layer));
-            assert_ne!(what, layer, "{layer} has no words");
+        for LayerCount { layer, effect, count } in result.layers {
+            let (Effect::Loses(what) | Effect::Alters(what)) = effect;
             // Whether a frame is waiting when its sender goes down is left to chance.
             assert!(count > 0 || layer == "sender-down", "{layer} did nothing");
             assert_eq!(text.contains(&format!(" {count} {what}")), count > 0, "{layer}: {text}");

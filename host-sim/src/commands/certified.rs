@@ -17,13 +17,14 @@ use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
 use crate::analysis::{
-    GainCertificate, TriggerConstants, UltimateBound, laplacian_norm, spectral_norm,
+    GainCertificate, StepCheck, TriggerConstants, UltimateBound, laplacian_norm, spectral_norm,
 };
 use crate::engine::TrainingRecord;
 use crate::flow::{Certificate, Plan, PlanError, plant_course, ultimate};
 use crate::learning::trained;
+use crate::number::significant;
 use crate::packages::{PackageBytes, with_node_dimension};
-use crate::scenario::{ObserverSettings, Scenario};
+use crate::scenario::{DisturbanceModel, ObserverSettings, Scenario};
 
 /// Above this, the eigenvalues of the graph coupling with separate gains are not computed.
 const AGENTS_MAX: usize = 128;
@@ -45,16 +46,12 @@ pub(super) fn bound(scenario: &Scenario, trainings: &[TrainingRecord]) -> Result
         return Err(reasons);
     }
     let bound = match &scenario.observer {
-        None => {
-            let gain = GainCertificate::new(scenario);
-            let rho = largest_disturbance(scenario, None);
-            rho.and_then(|rho| theorem1(scenario, gain.eigenvalue_min - gain.uncertainty, rho))
-        }
+        None => paper(scenario),
         Some(observer) if observer.coupling == Coupling::Trees => {
             with_node_dimension!(
                 scenario.dimension(),
                 trees(scenario, observer, trainings),
-                else Err(NotCertified::NotComputed)
+                else Err(NotCertified::Dimension)
             )
         }
         Some(observer) => held(scenario, observer),
@@ -93,33 +90,77 @@ fn departures(scenario: &Scenario) -> Vec<String> {
 /// Why a theorem's bound does not hold, or is not known.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 enum NotCertified {
-    #[error("its inequality does not hold for these gains")]
+    #[error(
+        "the theorem's inequality does not hold for these gains; `host-sim design` finds gains for it"
+    )]
     Inequality,
-    #[error("relays announce at more than {RELAY_SHARE_MAX} of the radius (observer.relay_share)")]
+    #[error(
+        "relays announce at more than {RELAY_SHARE_MAX} of the radius; use an observer.relay_share up to that"
+    )]
     RelayShare,
     #[error(
-        "outer weights adapt (observer.adapts), which the theorem for trees does not allow for"
+        "outer weights adapt, which the theorem for trees does not allow for; set observer.adapts = false"
     )]
     Adapts,
     #[error(
-        "a gain of {gain} 1/s times the step is {product}, and the bound holds up to 1: use a shorter time.step, or a \
-         smaller observer.root_gain or observer.tree_gain",
-        product = gain * step
+        "outer weights do not adapt, which Theorem 1 relies on; set observer.adapts = true, or observer.network = \
+         false"
+    )]
+    DoesNotAdapt,
+    #[error(
+        "agents add an estimated disturbance, which Theorem 1 does not allow for; set observer.disturbance = \"none\""
+    )]
+    Disturbance,
+    #[error(
+        "a gain of {} 1/s times the step is {}, and the bound holds up to 1: use a shorter time.step, or a smaller \
+         observer.root_gain or observer.tree_gain",
+        significant(*.gain, 4), significant(.gain * .step, 4)
     )]
     Step { gain: f64, step: f64 },
     #[error(
-        "with a coupling of {coupling} 1/s the error is unstable at steps of {step} s: use a shorter time.step, or a \
-         smaller observer.root_gain or observer.tree_gain"
+        "rates of {} to {} 1/s are too quick for steps of {} s: use a shorter time.step, or smaller gains",
+        significant(*.slow, 4), significant(*.fast, 4), significant(*.step, 4)
     )]
-    Unstable { coupling: f64, step: f64 },
-    #[error("its bound is not computed for this scenario")]
-    NotComputed,
+    Steps { slow: f64, fast: f64, step: f64 },
+    #[error("the run is longer than the part of the plant's trajectory that rho is taken from")]
+    Long,
+    #[error("observer.root_gain, observer.tree_gain and observer.radius are not all given")]
+    Settings,
+    #[error("there are more than {AGENTS_MAX} agents, whose eigenvalues are not computed")]
+    Agents,
+    #[error(
+        "states of this dimension do not fit into a weight package, whose settings it is about"
+    )]
+    Dimension,
+    #[error("the plant's trajectory, or the network along it, has no finite values")]
+    NotFinite,
+    #[error("the observer's settings could not be derived")]
+    NotDerived,
+}
+
+/// Checks that steps shrink every part of an error at least as much as the slowest part shrinks in continuous time.
+fn check_steps(slow: f64, fast: f64, step: f64) -> Result<(), NotCertified> {
+    let is_short = (slow + fast) * step <= 2.0;
+    if is_short { Ok(()) } else { Err(NotCertified::Steps { slow, fast, step }) }
+}
+
+/// The paper's observer.
+fn paper(scenario: &Scenario) -> Result<f64, NotCertified> {
+    let gain = GainCertificate::new(scenario);
+    let slow = gain.eigenvalue_min - gain.uncertainty;
+    let rho = largest_disturbance(scenario, None)?;
+    let bound = theorem1(scenario, slow, rho)?;
+    let step = StepCheck::new(scenario);
+    check_steps(slow, step.eigenvalue_max, step.step_size)?;
+    Ok(bound)
 }
 
 /// Returns Theorem 1's bound for this smallest eigenvalue and `rho` of one agent: `delta` is not in the
 /// trigger, so the analysis is free to choose it.
 fn theorem1(scenario: &Scenario, eigenvalue: f64, rho: f64) -> Result<f64, NotCertified> {
-    let bound = UltimateBound::new(scenario).ok_or(NotCertified::NotComputed)?;
+    // What is left of `[exchange]` only resets hold errors.
+    let scenario = &Scenario { exchange: ExchangeParams::PAPER, ..scenario.clone() };
+    let bound = UltimateBound::new(scenario).ok_or(NotCertified::Inequality)?;
     let room = eigenvalue - scenario.design.k2;
     let agents = scenario.agents.len() as f64;
     let delta = agents * rho * rho / room;
@@ -131,15 +172,21 @@ fn theorem1(scenario: &Scenario, eigenvalue: f64, rho: f64) -> Result<f64, NotCe
 /// The graph coupling with separate gains.
 fn held(scenario: &Scenario, observer: &ObserverSettings) -> Result<f64, NotCertified> {
     let agents = scenario.agents.len();
-    let (Some(root), Some(tree), Some(radii), Ok(Some(plan)), true) = (
-        &observer.root_gain,
-        &observer.tree_gain,
-        &observer.radius,
-        Plan::new(scenario),
-        agents <= AGENTS_MAX,
-    ) else {
-        return Err(NotCertified::NotComputed);
+    if agents > AGENTS_MAX {
+        return Err(NotCertified::Agents);
+    }
+    if observer.disturbance != DisturbanceModel::None {
+        return Err(NotCertified::Disturbance);
+    }
+    if observer.network && !observer.adapts {
+        return Err(NotCertified::DoesNotAdapt);
+    }
+    let (Some(root), Some(tree), Some(radii)) =
+        (&observer.root_gain, &observer.tree_gain, &observer.radius)
+    else {
+        return Err(NotCertified::Settings);
     };
+    let Ok(Some(plan)) = Plan::new(scenario) else { return Err(NotCertified::NotDerived) };
     let radius = radii.iter().copied().fold(f64::INFINITY, f64::min);
     let geometry = plan.geometry();
     let laplacian = scenario.graph.laplacian();
@@ -150,11 +197,8 @@ fn held(scenario: &Scenario, observer: &ObserverSettings) -> Result<f64, NotCert
     };
     let eigenvalues: Vec<_> = (0..scenario.dimension()).map(eigenvalues).collect();
     let eigenvalue = eigenvalues.iter().map(DVector::min).fold(f64::INFINITY, f64::min);
-    let (coupling, step) =
-        (eigenvalues.iter().map(DVector::max).fold(0.0, f64::max), scenario.time.step_size);
-    if coupling * step >= 2.0 {
-        return Err(NotCertified::Unstable { coupling, step });
-    }
+    let fast = eigenvalues.iter().map(DVector::max).fold(0.0, f64::max);
+    check_steps(eigenvalue, fast, scenario.time.step_size)?;
     let rho = largest_disturbance(scenario, Some(&geometry.transform))?;
     // The same trigger as agents run, in the terms of the paper's form.
     let mut scenario = scenario.clone();
@@ -175,12 +219,12 @@ fn trees<const N: usize>(
     if observer.relay_share > RELAY_SHARE_MAX {
         return Err(NotCertified::RelayShare);
     }
-    let Ok(Some(plan)) = Plan::new(scenario) else { return Err(NotCertified::NotComputed) };
+    let Ok(Some(plan)) = Plan::new(scenario) else { return Err(NotCertified::NotDerived) };
     let Some(Ok(equipped)) = equipped(scenario, &plan, trainings) else {
-        return Err(NotCertified::NotComputed);
+        return Err(NotCertified::NotDerived);
     };
     let field = FieldParams::<N>::from_words(FieldWords(equipped.package().node.field))
-        .map_err(|_| NotCertified::NotComputed)?;
+        .map_err(|_| NotCertified::NotDerived)?;
     if field.options.adapts {
         return Err(NotCertified::Adapts);
     }
@@ -280,13 +324,16 @@ fn largest_rate(
     transform: Option<&DMatrix<f64>>,
     mut write: impl FnMut(f64, &[f64], &mut [f64]) -> Option<()>,
 ) -> Result<f64, NotCertified> {
-    let course = plant_course(scenario).map_err(|_| NotCertified::NotComputed)?;
+    let course = plant_course(scenario).map_err(|_| NotCertified::NotFinite)?;
+    if scenario.steps() >= course.samples() as u64 {
+        return Err(NotCertified::Long);
+    }
     let mut rate = vec![0.0; scenario.dimension()];
     let from = scenario.observer.as_ref().map_or(0.0, |observer| observer.from);
     let mut largest = 0.0f64;
     for k in (scenario.time.tick(from) as usize..course.samples()).step_by(STRIDE) {
         write(scenario.time.at(k as u64), course.state(k), &mut rate)
-            .ok_or(NotCertified::NotComputed)?;
+            .ok_or(NotCertified::NotFinite)?;
         let rate = DVector::from_column_slice(&rate);
         largest =
             largest.max(transform.map_or(rate.norm(), |transform| (transform * &rate).norm()));
@@ -313,20 +360,33 @@ mod tests {
         let bound = certified(field).unwrap();
         let resets = "[exchange]\nheartbeat = 0.3\nrepeat = 0.03\n";
         assert_eq!(certified(&format!("{field}{resets}")), Ok(bound));
+        let held = format!(
+            "{field}coupling = \"held\"\nradius = 0.1\nroot_gain = 500.0\ntree_gain = 60.0\n"
+        );
+        assert_eq!(certified(&format!("{held}{resets}")), Ok(certified(&held).unwrap()));
+        assert_eq!(certified(resets), Ok(certified("").unwrap()));
         for (settings, reason) in [
             (
                 "tree_gain = 1500.0",
-                "a gain of 1500 1/s times the step is 1.5, and the bound holds up to 1",
+                "a gain of 1500 1/s times the step is 1.500, and the bound holds up to 1",
             ),
-            ("root_gain = 1500.0", "a gain of 1500 1/s times the step is 1.5"),
+            ("root_gain = 1500.0", "a gain of 1500 1/s times the step is 1.500"),
             ("relay_share = 1.0", "(observer.relay_share)"),
             (
                 "coupling = \"current\"\nradius = 0.1\nroot_gain = 100.0\ntree_gain = 100.0",
                 "current estimates",
             ),
             (
-                "coupling = \"held\"\nradius = 0.1\nroot_gain = 100.0\ntree_gain = 900.0",
-                "the error is unstable at steps of 0.001 s",
+                "coupling = \"held\"\nradius = 0.1\nroot_gain = 100.0\ntree_gain = 700.0",
+                "are too quick for steps of 0.001 s",
+            ),
+            (
+                "coupling = \"held\"\nradius = 0.1\nroot_gain = 500.0\ntree_gain = 60.0\ndisturbance = \"bias\"",
+                "an estimated disturbance",
+            ),
+            (
+                "coupling = \"held\"\nradius = 0.1\nroot_gain = 500.0\ntree_gain = 60.0\nadapts = false",
+                "do not adapt",
             ),
             ("[exchange]\ngap = 0.01", "([exchange])"),
         ] {

@@ -519,8 +519,8 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             *current = Some(bytes.clone());
         }
         self.watch = watch;
-        if self.state.field().is_some() {
-            // The switch to the field observer brings its own.
+        if self.scenario.observer.is_some() {
+            // The switch to the field observer brings its own, and the way back the paper's.
             self.params = self.params.clone().with_exchange(package.node.exchange)?;
             if matches!(self.params.trigger(), Trigger::Event(_)) {
                 let trigger = Trigger::Event(package.node.trigger);

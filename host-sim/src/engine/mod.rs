@@ -104,7 +104,6 @@ pub struct RunOptions {
 /// # Errors
 /// The error that a run would end with at its start.
 pub fn check_method(scenario: &Scenario) -> Result<(), RunError> {
-    check_support(scenario, scenario.method)?;
     if scenario.method.is_kalman() { kalman::course(scenario).map(drop) } else { Ok(()) }
 }
 
@@ -128,7 +127,7 @@ pub struct RunResult {
     pub trainings: Vec<TrainingRecord>,
     /// Rows of `x_0` and all `x_hat_i`; empty if the scenario records none.
     pub traces: Traces,
-    /// What agents missed of the learning cycles while they were down, in words.
+    /// What agents missed of learning cycles and switches while they were down, in words.
     pub missed: Vec<String>,
     /// What each layer of the link did, in their order; empty for a link without layers.
     pub layers: Vec<LayerCount>,

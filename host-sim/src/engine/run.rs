@@ -502,7 +502,8 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
         if self.current.is_empty() {
             return Ok(());
         }
-        for switch in switches.iter() {
+        // Agents that are down keep theirs.
+        for switch in switches.iter().filter(|switch| !self.down[switch.agent]) {
             self.current[switch.agent] = switch.package.clone();
         }
         if tick < plan.starts_at() {

@@ -133,12 +133,12 @@ impl Scenario {
     }
 
     /// Returns what the paper's theorems do not allow for, apart from the trigger: one clause for each, such
-    /// as "frames can be lost or late".
+    /// as "links are not ideal ([link])".
     #[must_use]
     pub fn departures(&self) -> Vec<&'static str> {
         let clock = ClockSettings::default();
         [
-            (!self.link.is_ideal(), "links delay, lose or corrupt frames ([link])"),
+            (!self.link.is_ideal(), "links are not ideal ([link])"),
             (
                 !self.agents.iter().all(|a| a.sensor.is_ideal()),
                 "measurements are not exact ([sensor])",

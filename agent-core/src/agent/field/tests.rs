@@ -4,6 +4,7 @@
 extern crate std;
 
 use core::num::NonZeroU32;
+use std::format;
 use std::vec;
 use std::vec::Vec;
 
@@ -591,6 +592,25 @@ fn agents_switch_from_the_papers_observer_and_back() {
             assert_eq!(held.estimate(), fleet.0[1].state.own_hold().estimate());
         }
     }
+}
+
+#[test]
+fn an_agent_that_begins_again_keeps_its_field_observer() {
+    let mut fleet = Fleet((0..3).map(|i| Member::new(i, ExchangeParams::PAPER)).collect());
+    for i in 0..3 {
+        fleet.0[i].set(&field(i, options(HoldKind::Rate)));
+    }
+    let fresh = format!("{:?}", fleet.0[1].state);
+    for tick in 0..50 {
+        fleet.step(tick);
+    }
+    let Member { state, params, .. } = &mut fleet.0[1];
+    assert_ne!(format!("{state:?}"), fresh);
+    state.begin_again(params, [0.3; 3].into(), &OUTER_WEIGHTS).unwrap();
+    state.scratch = Scratch::NEW;
+    assert_eq!(format!("{state:?}"), fresh);
+    state.begin(params, [0.3; 3].into(), &OUTER_WEIGHTS).unwrap();
+    assert!(state.field().is_none());
 }
 
 /// An agent that switches later than its neighbour has held the neighbour's sample constant so far.

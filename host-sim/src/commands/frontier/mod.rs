@@ -29,6 +29,7 @@ use crate::interruption::{self, SecondSignal};
 use crate::report::latex::latex;
 use crate::report::paper::PUBLISHED;
 use crate::scenario::{PAPER, Scenario};
+use crate::terminal;
 use forms::{Form, Forms, Level, Variant};
 use points::{Counter, Point, Study, Table};
 use summary::{Best, Setting};
@@ -115,6 +116,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let (target, target_label) = target(arguments, &scenario, &settings);
     let window = scenario.evaluation.to - scenario.evaluation.from;
+    if target.is_empty() && is_complete {
+        terminal::warning(
+            "a run of the paper's observer has no result, so its largest error cannot be the target; give one with --target",
+        );
+    }
     let best = match target.is_empty() {
         true => Vec::new(),
         false => summary::best(&settings, &target, &scenario.graph, window),
@@ -138,7 +144,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         TableFormat::Json => print_outcome(&report, outcome),
         TableFormat::Latex => {
             let mut text = String::new();
-            if is_complete {
+            if is_complete && !target.is_empty() {
                 let title = format!("Fewest broadcasts within {target_label}");
                 text += &latex(&title, &summary::table(&best, target.len()));
                 text += "% * no setting is within the target; the one with the smallest errors\n\
@@ -254,8 +260,8 @@ fn carry_out(
     Ok((variants, points))
 }
 
-/// Returns the target of each agent, and what it is; none if it is the error of the paper's observer, which has no
-/// result.
+/// Returns the target of each agent, and what it is; none if it is the error of the paper's observer, one of whose
+/// runs has no result.
 fn target(
     arguments: &Arguments,
     scenario: &Scenario,

@@ -191,8 +191,8 @@ impl Cells {
             let changes = self.changes(index)?;
             let (scenario, _) = base.load(&changes)?;
             check_support(&scenario, scenario.method).map_err(|error| {
-                let cell = changes.iter().map(|change| format!("{change}: ")).collect::<String>();
-                CommandError::new(ErrorCode::Run, format!("{cell}{error}"))
+                let place = if changes.is_empty() { base.name.clone() } else { in_words(&changes) };
+                CommandError::new(ErrorCode::Run, format!("{place}: {error}"))
             })?;
             if let Some(expected) = dimension.filter(|&n| n != scenario.dimension()) {
                 let found = scenario.dimension();

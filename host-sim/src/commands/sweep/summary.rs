@@ -202,15 +202,23 @@ impl Collected {
     }
 }
 
+fn refusal(path: &Path, line: Option<u64>, problem: &str, hint: &str) -> CommandError {
+    let line = line.map_or(String::new(), |line| format!(":{line}"));
+    let text = format!("{}{line}: {problem}; {hint}", path.display());
+    CommandError::new(ErrorCode::Samples, text).about(path)
+}
+
 impl Summary {
     /// Reads `results.csv`.
     pub(super) fn read(path: &Path) -> Result<Self, CommandError> {
         let refused = |line: Option<u64>, problem: &str| {
-            let line = line.map_or(String::new(), |line| format!(":{line}"));
             let hint = "pass the results.csv of a sweep, or those of all its parts, concatenated in the order \
                         of their numbers";
-            let text = format!("{}{line}: {problem}; {hint}", path.display());
-            CommandError::new(ErrorCode::Samples, text).about(path)
+            refusal(path, line, problem, hint)
+        };
+        let cut_off = |(problem, line): (String, Option<u64>)| {
+            let hint = "run the study again to complete the table, or remove the run's rows";
+            refusal(path, line, &problem, hint)
         };
         let (head, content) =
             text::open(path).map_err(|error| refused(None, &format!("cannot be read: {error}")))?;
@@ -244,8 +252,8 @@ impl Summary {
                 sizes.note(next - 1, line);
             }
             if !is_same {
-                if !is_fixed && let Some((problem, line)) = std::mem::take(&mut sizes).cut() {
-                    return Err(refused(line, &problem));
+                if !is_fixed && let Some(cut) = std::mem::take(&mut sizes).cut() {
+                    return Err(cut_off(cut));
                 }
                 cells.extend(current.take().map(Collected::summary));
             }
@@ -275,8 +283,8 @@ impl Summary {
             }
         }
         sizes.note(next - 1, line);
-        if let Some((problem, line)) = sizes.cut() {
-            return Err(refused(line, &problem));
+        if let Some(cut) = sizes.cut() {
+            return Err(cut_off(cut));
         }
         cells.extend(current.map(Collected::summary));
         if cells.is_empty() {

@@ -7,7 +7,7 @@
 
 use std::collections::BTreeSet;
 
-use super::layer::{Layer, Transmission};
+use super::layer::{Effect, Layer, Transmission};
 use crate::random::{Purpose, Random};
 use crate::scenario::EdgeSettings;
 
@@ -28,6 +28,10 @@ impl BurstLoss {
 impl Layer for BurstLoss {
     fn name(&self) -> &'static str {
         "burst"
+    }
+
+    fn effect(&self) -> Effect {
+        Effect::Loses("in bursts")
     }
 
     fn carry(

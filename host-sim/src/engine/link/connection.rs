@@ -1,6 +1,6 @@
 //! Edges that are gone for some time, alone or because groups of agents are cut off from each other.
 
-use super::layer::{Layer, Transmission};
+use super::layer::{Effect, Layer, Transmission};
 use crate::scenario::EdgeSettings;
 
 #[derive(Debug, Default)]
@@ -11,6 +11,10 @@ pub(super) struct Connection {
 impl Layer for Connection {
     fn name(&self) -> &'static str {
         "connection"
+    }
+
+    fn effect(&self) -> Effect {
+        Effect::Loses("over edges that were gone")
     }
 
     fn carry(

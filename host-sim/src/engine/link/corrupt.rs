@@ -1,7 +1,7 @@
 //! Corruption: one to three bytes of a copy are replaced by others, which a receiver's checks must
 //! find.
 
-use super::layer::{Layer, Transmission};
+use super::layer::{Effect, Layer, Transmission};
 use crate::random::{Purpose, Random};
 use crate::scenario::EdgeSettings;
 
@@ -20,6 +20,10 @@ impl Corrupt {
 impl Layer for Corrupt {
     fn name(&self) -> &'static str {
         "corrupt"
+    }
+
+    fn effect(&self) -> Effect {
+        Effect::Alters("with changed bytes")
     }
 
     fn carry(

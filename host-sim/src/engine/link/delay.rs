@@ -1,7 +1,7 @@
 //! Delay: constant, with a jitter that is uniform around it. A copy is overtaken if
 //! its delay exceeds that of the next one by more than the interval between them.
 
-use super::layer::{Layer, Transmission};
+use super::layer::{Effect, Layer, Transmission};
 use crate::random::{Purpose, Random};
 use crate::scenario::EdgeSettings;
 
@@ -20,6 +20,10 @@ impl Delay {
 impl Layer for Delay {
     fn name(&self) -> &'static str {
         "delay"
+    }
+
+    fn effect(&self) -> Effect {
+        Effect::Alters("delayed")
     }
 
     fn carry(

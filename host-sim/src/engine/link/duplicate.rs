@@ -1,6 +1,6 @@
 //! Duplication: some copies arrive twice, as when an acknowledgement is lost.
 
-use super::layer::{Layer, Transmission};
+use super::layer::{Effect, Layer, Transmission};
 use crate::random::{Purpose, Random};
 use crate::scenario::EdgeSettings;
 
@@ -19,6 +19,10 @@ impl Duplicate {
 impl Layer for Duplicate {
     fn name(&self) -> &'static str {
         "duplicate"
+    }
+
+    fn effect(&self) -> Effect {
+        Effect::Alters("delivered twice")
     }
 
     fn carry(

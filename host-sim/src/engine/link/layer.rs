@@ -29,10 +29,22 @@ impl Transmission {
     }
 }
 
+/// What a layer does to copies of frames, in words that follow their number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect {
+    /// They do not arrive.
+    Loses(&'static str),
+    /// They arrive later, changed or more often.
+    Alters(&'static str),
+}
+
 /// Something that happens to copies of frames.
 pub trait Layer: Send + Sync + std::fmt::Debug {
     /// Returns its name in reports.
     fn name(&self) -> &'static str;
+
+    /// Returns what it does.
+    fn effect(&self) -> Effect;
 
     /// Carries a copy over an edge with these settings: calls `next` with what comes out, which may be
     /// nothing.

@@ -11,7 +11,7 @@ use super::connection::Connection;
 use super::corrupt::Corrupt;
 use super::delay::Delay;
 use super::duplicate::Duplicate;
-use super::layer::{Layer, Transmission};
+use super::layer::{Effect, Layer, Transmission};
 use super::loss::Loss;
 use super::medium::{Medium, STANDARD_RATE, airtime};
 use super::{LayerCount, Link, Traffic};
@@ -227,14 +227,22 @@ impl Link for Layered {
 
     fn layer_counts(&self) -> Vec<LayerCount> {
         let medium = self.medium.iter().flat_map(|medium| {
-            let waited = ("waiting-steps", medium.count());
-            [waited, ("replaced", self.replaced), ("sender-down", self.withdrawn)]
+            let waited = Effect::Alters("steps of waiting for the medium");
+            let replaced =
+                Effect::Loses("frames that newer ones replaced while they waited for the medium");
+            let withdrawn = Effect::Loses("frames whose sender went down while they waited");
+            [
+                ("waiting-steps", waited, medium.count()),
+                ("replaced", replaced, self.replaced),
+                ("sender-down", withdrawn, self.withdrawn),
+            ]
         });
-        let layers = self.layers.iter().map(|layer| (layer.name(), layer.count()));
+        let layers = self.layers.iter().map(|layer| (layer.name(), layer.effect(), layer.count()));
+        let missed = Effect::Loses("because the receiver was down");
         medium
             .chain(layers)
-            .chain([("receiver-down", self.missed)])
-            .map(|(layer, count)| LayerCount { layer, count })
+            .chain([("receiver-down", missed, self.missed)])
+            .map(|(layer, effect, count)| LayerCount { layer, effect, count })
             .collect()
     }
 }

@@ -1,6 +1,6 @@
 //! Independent loss: every copy is lost with the same probability.
 
-use super::layer::{Layer, Transmission};
+use super::layer::{Effect, Layer, Transmission};
 use crate::random::{Purpose, Random};
 use crate::scenario::EdgeSettings;
 
@@ -19,6 +19,10 @@ impl Loss {
 impl Layer for Loss {
     fn name(&self) -> &'static str {
         "loss"
+    }
+
+    fn effect(&self) -> Effect {
+        Effect::Loses("by independent loss")
     }
 
     fn carry(

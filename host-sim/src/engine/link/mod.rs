@@ -31,6 +31,7 @@ mod medium;
 use agent_core::Tick;
 use serde::Serialize;
 
+pub use layer::Effect;
 pub use layered::Layered;
 pub use lossless::Lossless;
 
@@ -81,6 +82,9 @@ pub struct Traffic {
 pub struct LayerCount {
     /// The layer.
     pub layer: &'static str,
+    /// What it is for.
+    #[serde(skip)]
+    pub effect: Effect,
     /// Number of copies of frames; for the medium of frames replaced, and of steps waited by them.
     pub count: u64,
 }

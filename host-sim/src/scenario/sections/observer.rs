@@ -5,6 +5,7 @@ use agent_core::agent::exchange::ExchangeParams;
 use agent_core::observer::field::{Coupling, HoldKind};
 
 use super::run::check_before_end;
+use crate::number::significant;
 use crate::scenario::Time;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::reader::{STATE, Table, Value};
@@ -204,16 +205,23 @@ pub(in crate::scenario) fn observer(
     let per_direction = |key: &str, example: &str| {
         table.get(key, example).map(|value| positives(&value, n)).transpose()
     };
-    let root_gain = per_direction("root_gain", "113.0")?;
-    let unstable = |gain: &&f64| **gain * time.step_size >= 2.0;
-    if let (Some(value), Some(gain)) =
-        (table.get("root_gain", "113.0"), root_gain.iter().flatten().find(unstable))
-    {
-        return Err(value.error(
-            format_args!("{gain} 1/s is unstable at steps of {} s", time.step_size),
-            format_args!("use a gain below {}", 2.0 / time.step_size),
-        ));
-    }
+    let gain = |key: &str, example: &str| {
+        let gains = per_direction(key, example)?;
+        let unstable = |gain: &&f64| **gain * time.step_size >= 2.0;
+        match (table.get(key, example), gains.iter().flatten().find(unstable)) {
+            (Some(value), Some(gain)) => Err(value.error(
+                format_args!("{gain} 1/s is unstable at steps of {} s", time.step_size),
+                format_args!("use a gain below {}", significant(2.0 / time.step_size, 4)),
+            )),
+            _ => Ok(gains),
+        }
+    };
+    let root_gain = gain("root_gain", "113.0")?;
+    let tree_gain = match coupling {
+        // Their rules have a limit of their own.
+        Coupling::Trees => per_direction("tree_gain", "100.0")?,
+        _ => gain("tree_gain", "100.0")?,
+    };
     let positive =
         |key: &str, example: &str| table.get(key, example).map(|v| v.positive()).transpose();
     let radius = per_direction("radius", "0.06")?;
@@ -235,7 +243,7 @@ pub(in crate::scenario) fn observer(
             .get("adapts", "false")
             .map_or(Ok(coupling != Coupling::Trees), |value| value.boolean())?,
         root_gain,
-        tree_gain: per_direction("tree_gain", "100.0")?,
+        tree_gain,
         radius,
         disturbance: disturbance(&table, coupling, n)?,
         clip: per_direction("clip", "3.0")?,
