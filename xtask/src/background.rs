@@ -9,7 +9,7 @@ use std::{
     time::Instant,
 };
 
-use crate::step::{Failure, target_folder, workspace};
+use crate::step::{Failure, giving_way, target_folder, workspace};
 
 /// A task that runs. Its output goes to a file and is printed when it has ended.
 ///
@@ -29,6 +29,22 @@ impl Background {
     /// # Errors
     /// The process cannot be started, or its file cannot be written.
     pub(crate) fn start(task: &'static str, debian: bool) -> Result<Self, Failure> {
+        Self::started(task, debian, Command::new)
+    }
+
+    /// Starts it so that it gives way to what runs beside it.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub(crate) fn start_giving_way(task: &'static str, debian: bool) -> Result<Self, Failure> {
+        Self::started(task, debian, |program| giving_way(&Command::new(program)))
+    }
+
+    fn started(
+        task: &'static str,
+        debian: bool,
+        command: impl Fn(PathBuf) -> Command,
+    ) -> Result<Self, Failure> {
         let log = target_folder().join(format!("xtask-{task}.log"));
         let failed = |error: io::Error| {
             Failure::new(
@@ -39,7 +55,7 @@ impl Background {
         fs::create_dir_all(target_folder()).map_err(failed)?;
         let output = File::create(&log).map_err(failed)?;
         let errors = output.try_clone().map_err(failed)?;
-        let mut command = Command::new(env::current_exe().map_err(failed)?);
+        let mut command = command(env::current_exe().map_err(failed)?);
         command.arg(task).args(debian.then_some("--debian")).current_dir(workspace());
         command.stdin(Stdio::null()).stdout(output).stderr(errors);
         println!("==> {task}: at the same time as the next steps; output in {}", log.display());

@@ -62,16 +62,23 @@ pub(crate) fn simulator() -> Result<PathBuf, Failure> {
     Ok(target_folder().join(name))
 }
 
-/// Runs the unit tests, integration tests, examples and doctests of every crate.
+/// Builds the programs of [`test`].
+///
+/// # Errors
+/// A build failed.
+pub(crate) fn build_tests() -> Result<(), Failure> {
+    let mut build = cargo("test");
+    build.args(["--quiet", "--workspace", "--no-run"]);
+    run("the tests' programs", &mut giving_way(&build), "see the error above")
+}
+
+/// Runs the unit tests, integration tests, examples and doctests of every crate. They have deadlines, so they do not
+/// give way.
 ///
 /// # Errors
 /// A test failed, or no test ran.
 pub(crate) fn test() -> Result<TestCount, Failure> {
     let mut count = TestCount::default();
-    // Only the build: tests have deadlines.
-    let mut build = cargo("test");
-    build.args(["--quiet", "--workspace", "--no-run"]);
-    run("the tests' programs", &mut giving_way(&build), "see the error above")?;
     run_reading(
         "tests on the host",
         cargo("test").args(["--workspace", "--no-fail-fast"]),

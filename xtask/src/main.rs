@@ -184,9 +184,12 @@ fn test(debian: bool) -> Result<(), Failure> {
 
 /// Runs everything that needs no compiler for nodes.
 fn test_host(debian: bool) -> Result<host::TestCount, Failure> {
-    let count = host::test()?;
+    host::build_tests()?;
+    // Downloads and single processes, which leave processors idle.
+    let python = Background::start_giving_way("python", debian)?;
+    let count = python.finish_after(host::test())?;
     let page = Background::start("page", debian)?;
-    page.finish_after(studies::studies(debian).and_then(|()| python::python(debian)))?;
+    page.finish_after(studies::studies(debian))?;
     Ok(count)
 }
 
