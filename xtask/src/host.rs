@@ -62,7 +62,7 @@ pub(crate) fn simulator() -> Result<PathBuf, Failure> {
     Ok(target_folder().join(name))
 }
 
-/// Builds the programs of [`test`].
+/// Builds the programs of [`test()`].
 ///
 /// # Errors
 /// A build failed.
