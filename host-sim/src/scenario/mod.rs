@@ -133,7 +133,7 @@ impl Scenario {
     }
 
     /// Returns what the paper's theorems do not allow for, apart from the trigger: one clause for each, such
-    /// as "links are not ideal ([link])".
+    /// as "links are not ideal (\[link\])".
     #[must_use]
     pub fn departures(&self) -> Vec<&'static str> {
         let clock = ClockSettings::default();
