@@ -4,7 +4,7 @@
 // playwright-core and axe-core), CHROMIUM (the browser's command).
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
-import { readFileSync, statSync, writeFileSync } from "node:fs";
+import { readFileSync, rmSync, statSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { join } from "node:path";
 import { after, before, describe, test } from "node:test";
@@ -190,6 +190,8 @@ test("a thousand agents fit into one page", async () => {
 
 test("a study shows its trade-off and every cell", async () => {
   const folder = join(FOLDER, "study");
+  // A study of an earlier program is not continued.
+  rmSync(folder, { recursive: true, force: true });
   hostSim("sweep", "paper", "--set", "learning=[]", "--set", "time.duration=2", "--set", "evaluation={ from = 1.0, to = 2.0 }",
     "--vary", "design.epsilon=1000,3000,9000", "--vary", "design.gain.scale=0.9,1", "--out", folder);
   hostSim("report", folder);
