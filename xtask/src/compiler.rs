@@ -14,7 +14,7 @@ use std::{
 
 use crate::{
     packages,
-    step::{Failure, ask, cargo_in, run, target_folder},
+    step::{Failure, ask, run, target_folder},
 };
 
 /// Compiler, cargo, library sources, and linker.
@@ -22,7 +22,7 @@ const PACKAGES: [&str; 4] = ["rustc-web", "cargo-web", "rust-web-src", "lld"];
 const RUSTC: &str = "/usr/bin/rustc";
 const CARGO: &str = "/usr/bin/cargo";
 /// Debian's clippy. Called by path, because cargo would find that of the active toolchain.
-const CLIPPY: &str = "/usr/bin/cargo-clippy";
+const CLIPPY: &str = "/usr/bin/clippy-driver";
 const CLIPPY_PACKAGE: &str = "rust-web-clippy";
 /// Debian's location of the libraries.
 const RUSTLIB: &str = "/usr/lib/rustlib";
@@ -76,26 +76,26 @@ impl Compiler {
         command.env("CARGO_TARGET_DIR", cross_folder())
     }
 
-    /// Creates `cargo clippy` with this compiler for the crate in `folder`, which is a separate
-    /// workspace.
+    /// Makes `command`, a call of `cargo rustc` for a separate workspace, run clippy in place of the compiler on the
+    /// crates of that workspace. Unlike with `cargo clippy`, their dependencies are those that were built for the
+    /// firmware.
     ///
     /// # Errors
     /// Debian's clippy is needed and cannot be installed.
-    pub(crate) fn clippy_in(&self, folder: &Path) -> Result<Command, Failure> {
-        let mut command = cargo_in(folder, "clippy");
+    pub(crate) fn apply_clippy<'command>(
+        &self,
+        command: &'command mut Command,
+    ) -> Result<&'command mut Command, Failure> {
+        let mut clippy = "clippy-driver";
         if self.rustc.is_some() {
             // It reads the libraries' metadata, so both are of the same version.
             if packages::version(CLIPPY_PACKAGE) != packages::version(PACKAGES[0]) {
                 packages::install(&[CLIPPY_PACKAGE])?;
             }
-            let arguments = command;
-            command = Command::new(CLIPPY);
-            command.current_dir(folder).args(arguments.get_args());
-            command.env("CARGO", CARGO).env("SYSROOT", sysroot_folder());
-            command.env_remove("LD_LIBRARY_PATH");
+            clippy = CLIPPY;
+            command.env("SYSROOT", sysroot_folder()).env_remove("LD_LIBRARY_PATH");
         }
-        self.apply(&mut command);
-        Ok(command)
+        Ok(self.apply(command.env("RUSTC_WORKSPACE_WRAPPER", clippy)))
     }
 }
 

@@ -124,34 +124,32 @@ pub(crate) fn emulated(debian: bool) -> Result<(Board, PathBuf), Failure> {
     Ok((board, program))
 }
 
-/// Boards that clippy reads: those whose firmware CI runs. The crates of the other boards' chips
-/// take twice as long to check as everything else here.
-const LINTED: [&str; 2] = [boards::EMULATED, "stm32f405"];
-
 /// Installs what [`lint`] needs, where that is allowed.
 ///
 /// # Errors
 /// It is missing and cannot be installed.
 pub(crate) fn install_for_lint(debian: bool) -> Result<(), Failure> {
-    let boards: Vec<Board> = LINTED.into_iter().map(boards::find).collect::<Result<_, _>>()?;
-    compiler::install_for(&boards::targets(&boards), debian).map(drop)
+    compiler::install_for(&boards::targets(&boards::all()?), debian).map(drop)
 }
 
-/// Runs clippy on every variant of these boards.
+/// Runs clippy on every variant of every board.
 ///
 /// # Errors
 /// There is no compiler, or clippy finds something.
 pub(crate) fn lint(debian: bool) -> Result<(), Failure> {
-    let boards: Vec<Board> = LINTED.into_iter().map(boards::find).collect::<Result<_, _>>()?;
+    let boards = boards::all()?;
     let compiler = Compiler::find(&boards::targets(&boards), debian)?;
     for board in &boards {
         for variant in Variant::all(board) {
-            let mut clippy = compiler.clippy_in(&board.folder)?;
+            let mut clippy = cargo_in(&board.folder, "rustc");
             clippy.args(["--quiet", "--release"]);
             let name = variant.apply(&mut clippy, board);
+            // Only for its lints: clippy's code is not that of the firmware.
+            clippy.args(["--", "-Dwarnings", "-Copt-level=0", "-Cdebuginfo=0"]);
+            clippy.args(["-Clto=off", "-Clinker=true"]);
             run(
                 &format!("clippy on {name}"),
-                clippy.args(["--", "-D", "warnings"]),
+                compiler.apply_clippy(&mut clippy)?,
                 "follow clippy's suggestion, or allow the lint with a reason",
             )?;
         }
