@@ -1,4 +1,4 @@
-//! A node whose chip stands still while it erases: it says farewell first, and its first step afterwards
+//! A node whose chip stalls while it erases: it says farewell first, and its first step afterwards
 //! broadcasts.
 #![cfg(feature = "exchange")]
 

@@ -251,7 +251,7 @@ fn check_accepted<const N: usize>(bytes: &[u8], package: &Package<'_>) {
     }
     assert!(matches!(after(agent ^ 1, epoch, version), Err(Refusal::Agent { .. })));
 
-    // A node knows no inputs.
+    // A node does not support inputs.
     if let Some(fewer) = package.known_inputs.checked_sub(1) {
         let capacity = Capacity { known_inputs: fewer, ..fits };
         let refused = with(Requirements { capacity, ..ANY });

@@ -16,7 +16,7 @@ pub struct FrameContent {
     pub sequence: u32,
     /// Tick at which the sample was taken.
     pub tick: Tick,
-    /// `estimate`, `field` from an agent with the field observer, or `farewell` from one that stands still.
+    /// `estimate`, `field` from an agent with the field observer, or `farewell` from one that stalls.
     pub kind: &'static str,
     /// `x_hat_i(t_k)`, shape `[n]`; `None` for a field announcement of unknown dimension and a farewell.
     pub estimate: Option<Vec<f32>>,

@@ -126,8 +126,8 @@ impl<'t> OfflineTask<'t> {
     /// Reads recordings from files; returns them with warnings about their origin.
     ///
     /// # Errors
-    /// If one cannot be read, or is from an agent that gets no network or has a different step, as far as the
-    /// file says.
+    /// If one cannot be read, or if the file says that it is from an agent that gets no network, or has a different
+    /// step.
     pub fn load(&self, paths: &[PathBuf]) -> Result<(Samples, Vec<Warning>), ErrorReport> {
         let features = network_of(self.scenario)?.architecture.features();
         let (mut samples, mut warnings) = (Samples::default(), Vec::new());
@@ -233,7 +233,7 @@ impl<'t> OfflineTask<'t> {
     }
 }
 
-/// Returns the serial after those of the packages that are there; `chosen` is a version instead of the next.
+/// Returns the serial after those of the existing packages; `chosen` is a version instead of the next.
 ///
 /// # Errors
 /// If the version is the largest one.

@@ -1,4 +1,4 @@
-"""Measure the module beside the command line, in turns: `python python/benches/performance.py PATH-OF-HOST-SIM`.
+"""Measure the module alongside the command line, in turns: `python python/benches/performance.py PATH-OF-HOST-SIM`.
 
 Prints the fastest and the median of a step of one agent, and of the paper's run.
 """
@@ -74,7 +74,7 @@ def main() -> None:
     print("paper, command line:", line(lines[1:], "s"))
     print("paper, Python:      ", line(calls[1:], "s"))
     ratio = statistics.median(calls[1:]) / statistics.median(lines[1:])
-    print(f"Python beside the command line: {100 * (ratio - 1):+.1f} % (medians)")
+    print(f"Python relative to the command line: {100 * (ratio - 1):+.1f} % (medians)")
 
 
 if __name__ == "__main__":

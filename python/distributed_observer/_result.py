@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Result:
-    """What a run gave: the report of the command line, and what it writes into files."""
+    """What a run returned: the same report and data that the command line prints and writes to files."""
 
     #: The report, with the keys of ``host-sim run --format json``.
     report: dict[str, Any]

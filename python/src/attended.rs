@@ -1,4 +1,4 @@
-//! Long work beside Python: the interpreter is free meanwhile, Ctrl-C ends the work, and progress is told on
+//! Long work alongside Python: the interpreter is free meanwhile, Ctrl-C ends the work, and progress is told on
 //! the thread that waits.
 //!
 //! The work runs in a pool of threads of its own, so several threads of Python can do this at once. The waiting
@@ -72,7 +72,7 @@ pub(crate) fn attended<R: Send>(
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build();
     let pool = pool
         .map_err(|_| {
-            let text = format!("cannot start {threads} threads; choose fewer with --threads");
+            let text = format!("cannot start {threads} threads; choose fewer with threads=");
             ErrorReport::new(ErrorCode::Threads, text)
         })
         .or_raise(py)?;

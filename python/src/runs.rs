@@ -17,7 +17,7 @@ use crate::plant::CallablePlant;
 use crate::samples::Samples;
 use crate::{json, packages};
 
-/// What to run, beside the scenario.
+/// What to run, in addition to the scenario.
 pub(crate) struct Request {
     pub(crate) seed: u64,
     pub(crate) threads: u16,

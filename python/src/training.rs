@@ -97,7 +97,7 @@ fn agent_indices(
     for &number in numbers {
         let index = agent_index(scenario, number)?;
         if agents.contains(&index) {
-            let text = format!("--agent {number}: given twice; give it once");
+            let text = format!("agent={number}: given twice; give it once");
             return Err(ErrorReport::usage(text));
         }
         agents.push(index);
@@ -120,8 +120,8 @@ fn in_memory(
         if !agents.contains(&agent) {
             let (own, wanted, shown) = (agent + 1, agents[0] + 1, name.display());
             let text = format!(
-                "{shown}: samples of agent {own}, not of agent {wanted}; give --agent {own}, or a recording of \
-                 agent {wanted}"
+                "{shown}: samples of agent {own}, not of agent {wanted}; pass agent={own}, or a recording of agent \
+                 {wanted}"
             );
             return Err(ErrorReport::new(ErrorCode::Samples, text).about(name));
         }

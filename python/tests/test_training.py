@@ -95,7 +95,7 @@ def test_wrong_samples_are_refused(paper):
     assert len(flat) == 30 and repr(flat).startswith("<Samples: 30 rows, one every 0.001")
     with pytest.raises(do.ObserverError, match="estimates have 2 components, but the scenario's state has 3"):
         do.train(flat, paper, 1)
-    with pytest.raises(do.ObserverError, match="--agent 1: given twice"):
+    with pytest.raises(do.ObserverError, match="agent=1: given twice"):
         do.train(rows, paper, [1, 1])
     with pytest.raises(do.ObserverError, match="give the number of at least one"):
         do.train(rows, paper, [])

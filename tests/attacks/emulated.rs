@@ -2,7 +2,7 @@
 //!
 //! Three nodes of the firmware: agent 1, its twin, and agent 2, the neighbour of both. Agent 1 and its
 //! twin have the same flash and hear and measure the same, and only agent 1 hears the stranger. As long
-//! as their states agree to the bit, nothing that the stranger sent has had any effect.
+//! as their states agree bit for bit, nothing that the stranger sent has had any effect.
 
 use std::borrow::Cow;
 use std::os::unix::net::UnixStream;
@@ -188,7 +188,7 @@ pub(super) fn with_a_radio(tries: u64, seed: u64) -> Outcome {
     outcome
 }
 
-/// Whether two nodes have done the same, to the bit.
+/// Whether two nodes have done the same, bit for bit.
 fn is_same(one: &Turn, other: &Turn) -> bool {
     let bits = |turn: &Turn| {
         let state = turn.state.as_ref().unwrap();

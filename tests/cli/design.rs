@@ -66,7 +66,7 @@ fn a_rate_at_which_estimates_say_nothing_is_refused() {
     // Without broadcasts, agents that do not measure a component know nothing of it.
     let message = folder.fail("design expressions --max-rate 1", 1);
     let expected = [
-        "no useful radius gives at most 1 broadcasts per agent and second",
+        "no useful radius gives at most 1 broadcasts per agent per second",
         "an estimate that never moves would hardly be worse",
         "allow more",
         "[observer]",

@@ -1,4 +1,4 @@
-//! Properties of an agent that hold to the bit for all parameters, measurements and frames: changes
+//! Properties of an agent that hold bit for bit for all parameters, measurements and frames: changes
 //! that must not affect a result, and the times of broadcasts.
 
 use agent_core::StateVector;

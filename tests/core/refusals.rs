@@ -1,5 +1,5 @@
 //! Refusals change nothing: after every error of a step or an inbox, state and inbox are unchanged
-//! to the bit and continue like a copy that never saw the error.
+//! bit for bit and continue like a copy that never saw the error.
 
 use agent_core::agent::inbox::Inbox;
 use agent_core::agent::{AgentParams, StepError};

@@ -486,7 +486,7 @@ fn uploads_that_come_too_often_are_refused_before_anything_is_erased() {
     let settings = Settings { update_limit: limit, ..settings() };
     let mut node = PolledNode::new(new_flash(), settings, &mut memory).unwrap();
     let mut board = Script::new(Vec::new());
-    // Without a package time stands still, and nothing is limited.
+    // Without a package time stops, and nothing is limited.
     let uploads = |version| push(version).into_iter().rev().skip(1).rev();
     for version in 1..6 {
         board.requests.extend(uploads(version));

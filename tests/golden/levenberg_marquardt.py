@@ -71,7 +71,7 @@ PROBLEMS = [
 
 
 def jacobian(residuals, x, data):
-    """By complex steps: exact to rounding."""
+    """By complex steps: exact to within rounding error."""
     step = 1e-30
     columns = [
         np.imag(residuals(x + 1j * step * unit, data)) / step for unit in np.eye(len(x))

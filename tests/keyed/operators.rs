@@ -98,7 +98,7 @@ fn what_is_not_an_operator_key_is_refused_and_changes_nothing() {
     let mut node = signed_only(&old);
     let before = node.flash().to_vec();
     let key = operators(1, &new);
-    // A point of small order: anyone could sign for it.
+    // A point of small order: anyone could forge signatures for it.
     let weak = [&[1, 1][..], &[0; 31]].concat();
     let not_a_point = [&[1, 2][..], &[0; 31]].concat();
     for bytes in [

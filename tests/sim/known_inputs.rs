@@ -125,7 +125,7 @@ fn a_network_learns_what_known_inputs_do() {
     assert!(rmse(&known) < 0.5 * rmse(&hidden), "{} and {}", rmse(&known), rmse(&hidden));
     let package = known.trainings[0].package.package();
     assert_eq!((package.dimension(), package.known_inputs), (2, 2));
-    // The box of the inputs follows that of the state, in the order of the file.
+    // The box of the inputs follows that of the state, in file order.
     let high = &package.trained_box.high[2..];
     assert!((6.0..7.0).contains(&high[0]) && (1.4..1.6).contains(&high[1]), "{high:?}");
 }

@@ -227,7 +227,7 @@ fn a_study_is_of_recordings_or_of_plants() {
     for varied in [format!("{{{one}}},{{{linear}}}"), format!("{{{linear}}},{{{one}}}")] {
         let message = folder.fail(&format!("sweep mine.toml --vary plant={varied} --out out"), 2);
         assert!(message.contains("one.csv") && message.contains("uses a recording"), "{message}");
-        assert!(message.contains("make a study of each"), "{message}");
+        assert!(message.contains("run a separate study for each"), "{message}");
     }
     assert!(!folder.path("out").exists());
     // The scenario's own plant is in no cell.

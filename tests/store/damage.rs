@@ -19,7 +19,7 @@ const UNITS: usize = 2;
 /// Start of slot B and of the commit area.
 const SLOT_B: usize = UNITS * UNIT;
 const COMMIT: usize = 2 * UNITS * UNIT;
-/// Length of a half of the commit area.
+/// Length of half of the commit area.
 const HALF: usize = half_units(UNIT) * UNIT;
 /// Length of a record in its two copies.
 const PAIR: usize = 2 * RECORD_LENGTH;

@@ -54,7 +54,7 @@ fn newest_pair(flash: &Flash) -> usize {
     (0..2 * PAIRS).max_by_key(number).unwrap()
 }
 
-/// A node tells its neighbours before its chip stands still, so it has to know.
+/// A node tells its neighbours before its chip stalls, so it has to know.
 #[test]
 fn the_store_foresees_what_erases_flash() {
     const UNITS: usize = 8;

@@ -11,7 +11,7 @@ use std::{
 
 use crate::step::{Failure, giving_way, target_folder, workspace};
 
-/// A task that runs. Its output goes to a file and is printed when it has ended.
+/// A running task. Its output goes to a file and is printed when it has ended.
 ///
 /// Dropping it waits for its end.
 #[derive(Debug)]

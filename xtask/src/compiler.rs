@@ -234,7 +234,7 @@ fn sysroot() -> Result<PathBuf, Failure> {
     run(
         "core and alloc for bare metal",
         &mut build_command(&scratch),
-        "see the compiler's error; all of Debian's packages must have the same version",
+        "see the compiler's error; all of Debian's Rust packages must have the same version",
     )?;
     lay_out(&prefix, &scratch).map_err(failed)?;
     fs::write(&stamp, wanted).map_err(failed)?;

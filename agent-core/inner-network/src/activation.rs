@@ -12,7 +12,7 @@
 //! let mut values = [-1.0, 0.0, 1.0];
 //! Activation::Tanh.apply(&mut values);
 //! assert_eq!(values[1], 0.0);
-//! assert_eq!(values[0], -values[2]); // odd to the bit
+//! assert_eq!(values[0], -values[2]); // odd bit for bit
 //! ```
 //!
 //! # Equations
@@ -49,9 +49,9 @@
 //!
 //! Checked over all 2^32 floats by `examples/activation_error.rs`:
 //!
-//! - `tanh` is odd to the bit (`-0.0` included), never decreases, and stays in [-1, 1].
+//! - `tanh` is odd bit for bit (`-0.0` included), never decreases, and stays in [-1, 1].
 //! - logistic never decreases and stays in [0, 1].
-//! - Gaussian is even to the bit, never increases with `|x|`, and stays in [0, 1].
+//! - Gaussian is even bit for bit, never increases with `|x|`, and stays in [0, 1].
 //! - Infinities give the limits (1, -1, 0). NaN gives NaN, but *which* NaN differs between
 //!   processors: callers refuse input that is not finite, as
 //!   [`InnerNetwork::new`](crate::network::InnerNetwork::new) does with parameters.

@@ -11,7 +11,7 @@
 //! - *compensate* delays: an arriving sample is extrapolated by its age times the agent's own mean velocity.
 //!
 //! # Farewells
-//! An agent whose chip is about to stand still, since it erases flash, says so. Its neighbours then have no
+//! An agent whose chip is about to stall, since it erases flash, says so. Its neighbours then have no
 //! sample of it, rather than one that ages, and its first step afterwards broadcasts whether its trigger
 //! fires or not. A neighbour that hears it again broadcasts, too, because the agent may have missed its
 //! last sample meanwhile. None of this needs a parameter.
@@ -28,7 +28,7 @@
 //! changes, so it must be slow: with a longest delay `D` and a gain `K` of the consensus term, `smoothing`
 //! should be at least `2 D max(1, K D)`; the host warns below that.
 //!
-//! With all parameters 0 and without a farewell the agent is the paper's, to the bit. The feature `exchange` can be left out
+//! With all parameters 0 and without a farewell the agent is bit for bit the paper's. The feature `exchange` can be left out
 //! where flash is short; then only the paper's exchange is accepted.
 //!
 //! Memory: `4 N + 12` bytes, and 24 bytes for each held sample. Cost: some 10 operations in a step, and
@@ -523,7 +523,7 @@ mod tests {
             let frame = agent.state.farewell(1).unwrap();
             assert_eq!(frame, Frame::farewell(1, 1, 1));
             assert!(agent.state.farewell(1).is_none());
-            // The chip stands still for 30 ticks.
+            // The chip stalls for 30 ticks.
             agent.next += 30;
             let back = agent.step(&[]).1.unwrap();
             assert_eq!((back.sequence, back.tick, back.is_farewell), (2, 32, false));

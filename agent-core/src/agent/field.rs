@@ -32,7 +32,7 @@ use crate::observer::field::{
 use crate::observer::network::Scratch;
 use crate::observer::outer_law::combine;
 
-/// Longest time for which a chip stands still while it erases: 2 s in steps of 1 ms, and as long again.
+/// Longest time for which a chip stalls while it erases: 2 s in steps of 1 ms, and as long again.
 /// \[step\]
 const STALL_MAX: Tick = 4_096;
 
@@ -280,7 +280,7 @@ where
         let was_away = exchange.is_away();
         exchange.heard(&drained);
         if was_away {
-            // Oscillations have gone on while the chip stood still.
+            // Oscillations have gone on while the chip was stalled.
             let next = self.last_tick.map_or(tick, |last| last.saturating_add(1));
             for _ in 0..tick.saturating_sub(next).min(STALL_MAX) {
                 for (direction, disturbance) in own.directions.iter().zip(disturbances.iter_mut()) {

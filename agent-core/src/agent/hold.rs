@@ -19,7 +19,7 @@
 //! attacks.
 //!
 //! # Farewells
-//! A neighbour that is about to stand still says so. Its hold is then *absent*: every sum leaves it out, as
+//! A neighbour that is about to stall says so. Its hold is then *absent*: every sum leaves it out, as
 //! before its first sample, until a frame that is newer than the farewell.
 //!
 //! Memory: `4 N + 44` bytes, rounded up to a multiple of 8. Cost: a few comparisons per received sample.

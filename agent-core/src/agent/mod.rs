@@ -260,7 +260,7 @@ where
         self.own_hold.frame_from(params.id)
     }
 
-    /// Returns the frame that tells the neighbours that this agent is about to stand still, to be sent before
+    /// Returns the frame that tells the neighbours that this agent is about to stall, to be sent before
     /// its next step; `None` if they know already. They leave it out of their sums until they hear it
     /// again, and the next step that is taken broadcasts in any case.
     #[cfg(feature = "exchange")]

@@ -125,7 +125,7 @@ pub struct Tally {
     pub overflows: u32,
     /// Ticks between two attempted steps.
     pub skipped_ticks: u32,
-    /// Ticks for which the chip stood still, which are not the fault of the package.
+    /// Ticks for which the chip was stalled, which are not the fault of the package.
     pub stalled_ticks: u32,
 }
 

@@ -110,7 +110,7 @@ impl<const N: usize> Performance<N> {
     }
 
     /// Ends a block and returns it. `tally` is what happened in it: a block with a restart, an overflow
-    /// or a chip that stood still is not part of the means, nor are the ones in which the estimate
+    /// or a chip that stalled is not part of the means, nor are the ones in which the estimate
     /// converges again.
     /// `params` and `state` are the agent's; `last` is the last step: its measurement and the
     /// derivative, if it was taken with one.

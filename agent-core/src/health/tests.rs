@@ -454,7 +454,7 @@ fn a_sample_that_led_to_an_overflow_does_not_wait_for_ever() {
     }
 }
 
-/// Ticks for which the chip stood still are counted, but not held against the package.
+/// Ticks for which the chip was stalled are counted, but not held against the package.
 #[test]
 fn ticks_of_a_chip_that_stood_still_are_excused_once() {
     let mut rig = Rig::new(&SETTINGS, 0.0);

@@ -21,7 +21,7 @@ use crate::{StateVector, Tick};
 pub enum Trigger {
     /// The paper's: when the hold error is large.
     Event(TriggerParams),
-    /// Every so many ticks, whatever the estimate does: what event triggers are compared with.
+    /// At this period, in ticks, whatever the estimate does: what event triggers are compared with.
     Periodic(NonZeroU32),
 }
 

@@ -202,9 +202,9 @@ impl TrainingErrors {
 pub struct TestVector<'a> {
     /// `x_hat` and the known inputs, shape `[n + p]`.
     pub input: &'a [f32],
-    /// `sigma(Phi_hat(x_hat))`, shape `[L]`, exact to the bit.
+    /// `sigma(Phi_hat(x_hat))`, shape `[L]`, exact bit for bit.
     pub features: &'a [f32],
-    /// `W_hat^T sigma` with the package's outer weights, shape `[n]`, exact to the bit.
+    /// `W_hat^T sigma` with the package's outer weights, shape `[n]`, exact bit for bit.
     pub output: &'a [f32],
 }
 

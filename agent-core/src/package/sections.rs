@@ -92,7 +92,7 @@ impl<'a> Sections<'a> {
     }
 }
 
-/// The contents of the sections that are there; the others are empty.
+/// The contents of the sections that are present; the others are empty.
 #[derive(Default)]
 struct Contents<'a> {
     inner: &'a [f32],

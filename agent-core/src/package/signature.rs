@@ -62,7 +62,7 @@ impl core::fmt::Display for PublicKeyError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
             Self::NotAPoint => "not an Ed25519 public key",
-            Self::SmallOrder => "weak public key: anyone could sign for it",
+            Self::SmallOrder => "weak public key: anyone could forge signatures for it",
         })
     }
 }

@@ -42,7 +42,7 @@ impl TrialLimits {
         skipped_ticks: None,
     };
 
-    /// Returns whether the limits that are there are finite.
+    /// Returns whether the limits that are present are finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         [self.innovation_rms, self.broadcasts_per_second]

@@ -22,7 +22,7 @@ pub enum Problem {
     Package(RefusalReport),
     /// The node has a port key, and this request must be sealed with it.
     NotSealed,
-    /// The seal does not match: another key, an earlier request, or an epoch that is over.
+    /// The seal does not match: a different key, an earlier request, or an epoch that is over.
     Seal,
     /// The node has no port key, so that nothing can be sealed for it, or the request needs one.
     NotProvisioned,
@@ -49,7 +49,10 @@ impl core::fmt::Display for Problem {
             }
             Self::NotProvisioned => write!(f, "the node is not provisioned"),
             Self::NotSigned => {
-                write!(f, "the node's first keys must be signed by the operator of its firmware")
+                write!(
+                    f,
+                    "the node's first keys must be signed with the operator key built into its firmware"
+                )
             }
         }
     }

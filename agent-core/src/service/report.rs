@@ -26,7 +26,7 @@ pub struct Report {
     pub reset_cause: ResetCause,
     /// Where the firmware panicked before the last reset, if it did.
     pub panic: Option<PanicPlace>,
-    /// Ticks missed because the chip stood still while flash was erased or written.
+    /// Ticks missed because the chip was stalled while flash was erased or written.
     pub stalled_ticks: u32,
 }
 

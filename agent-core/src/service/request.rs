@@ -82,16 +82,16 @@ pub enum Request<'a> {
         /// A [`Provision`], encoded.
         bytes: &'a [u8],
     },
-    /// Use these network keys in place of the previous ones, the one for sending first. Only sealed.
+    /// Use these network keys in place of the previous ones; the sending key comes first. Must be sealed.
     NetworkKeys {
         /// One or two keys: for each, its number and its 16 bytes.
         bytes: &'a [u8],
     },
     /// Forget keys, agent and packages, but neither the epochs nor the highest package activated, and
-    /// restart. Only sealed.
+    /// restart. Must be sealed.
     FactoryReset,
-    /// Accept packages signed with these of the operator's keys. Only sealed, and only for firmware with
-    /// a public key.
+    /// Accept packages signed with these of the operator's keys. Must be sealed, and only for firmware
+    /// with a public key.
     OperatorKeys {
         /// Nothing: only the public key built into the firmware is valid. Otherwise 1 if it is valid and
         /// 0 if not, and one more public key of 32 bytes.

@@ -11,7 +11,7 @@ use super::StoreError;
 /// interrupted erasure only its own units. A driver whose flash erases to another value must invert
 /// reads and writes.
 pub trait MappedFlash: NorFlash {
-    /// Whether the chip stands still while it erases. A node on such a board says farewell to its
+    /// Whether the chip stalls while it erases. A node on such a board says farewell to its
     /// neighbours first; `erase` then begins with a wait for the link, so that the frame gets out.
     const STALLS: bool = false;
 

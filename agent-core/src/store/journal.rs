@@ -54,7 +54,7 @@ use crate::wire::sequence::is_newer;
 /// have used.
 const SKIPPED_NUMBERS: u32 = 0x1_0000 * (PAIR_LENGTH / UNIT_LENGTH as u32);
 
-/// A half of the commit area.
+/// Which half of the commit area.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Half {
     First,

@@ -28,7 +28,7 @@ const PORT_KEY: u8 = 3;
 const EPOCHS: u8 = 4;
 const OPERATOR_KEYS: u8 = 5;
 
-/// Length that a half of the commit area needs on a node with keys: a pair for each of six kinds, and
+/// Length that each half of the commit area needs on a node with keys: a pair for each of six kinds, and
 /// one for a record that has to be written twice. \[byte\]
 pub const KEYED_HALF_MIN: u32 = 7 * PAIR_LENGTH;
 

@@ -42,7 +42,7 @@ pub enum Part {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum LayoutError {
-    /// A part, or a half of the commit area, does not start and end at an erase unit.
+    /// A part, or half of the commit area, does not start and end at an erase unit.
     Unaligned {
         /// Which part.
         part: Part,
@@ -112,7 +112,7 @@ impl core::fmt::Display for LayoutError {
 
 impl core::error::Error for LayoutError {}
 
-/// Fewest records that a half of the commit area must hold: the state, two notes, and one that has
+/// Fewest records that each half of the commit area must hold: the state, two notes, and one that has
 /// to be written twice.
 const PAIRS_MIN: u32 = 4;
 
@@ -164,12 +164,12 @@ impl Layout {
         slot.of(self.slots)
     }
 
-    /// Returns the length of a half of the commit area.
+    /// Returns the length of half of the commit area.
     pub(super) fn half_length(&self) -> u32 {
         self.commit_length / 2
     }
 
-    /// Returns the number of records, of two copies each, that fit into a half of the commit area.
+    /// Returns the number of records, of two copies each, that fit into half of the commit area.
     pub(super) fn pairs(&self) -> u32 {
         self.half_length() / PAIR_LENGTH
     }

@@ -133,10 +133,10 @@ impl core::fmt::Display for Slot {
 /// What is about to be done with a store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// So many records are appended to the journal: one by [`Store::activate`], [`Store::confirm`],
+    /// This many records are appended to the journal: one by [`Store::activate`], [`Store::confirm`],
     /// [`Store::revert`] and each note.
     Records(u32),
-    /// [`Store::write`] gets so many bytes at this offset.
+    /// [`Store::write`] gets this many bytes at this offset.
     Bytes {
         /// Where they begin.
         offset: u32,

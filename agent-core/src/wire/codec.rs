@@ -64,7 +64,7 @@ mod tests {
             let mut bytes = heapless::Vec::<u8, 200>::new();
             prop_assert_eq!(writer::append(&value, &mut bytes), Some(()));
             prop_assert_eq!(&bytes[..], &stream[..]);
-            // To the bit, NaN included.
+            // Bit for bit, NaN included.
             prop_assert_eq!(whole::<Mixed<'_>>(&stream).map(|read| written(&read)), Some(stream.clone()));
             stream.push(9);
             prop_assert!(whole::<Mixed<'_>>(&stream).is_none());

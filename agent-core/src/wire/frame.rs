@@ -16,7 +16,7 @@
 //! More kinds of payload can be added; a receiver refuses kinds it does not know, or whose feature it was
 //! built without. Delimiting and encryption are left to the layers below.
 //!
-//! A farewell has no words: its sender is about to stand still, and neighbours leave it out until its
+//! A farewell has no words: its sender is about to stall, and neighbours leave it out until its
 //! next frame.
 //!
 //! Cost: linear in the length. Invariant: decoding gives either a frame with a finite estimate of
@@ -41,7 +41,7 @@ pub const VERSION: u8 = 1;
 /// Length of a node's longest encoded frame, in bytes.
 pub const FRAME_LENGTH_MAX: usize = length_with(WORDS_MAX);
 
-/// Returns the length of the longest encoded frame with so many words, in bytes: version, longest
+/// Returns the length of the longest encoded frame with that many words, in bytes: version, longest
 /// variable-length integers of the header, payload kind and length, words, checksum.
 const fn length_with(words: usize) -> usize {
     1 + 5 + 5 + 10 + 1 + 1 + 4 * words + CHECKSUM_LENGTH
@@ -79,12 +79,12 @@ pub struct Frame<const N: usize> {
     /// How the sample evolves, from an agent with the field observer.
     #[cfg(feature = "field")]
     pub announced: Option<Announced<N>>,
-    /// Whether the sender is about to stand still. The estimate is then 0 and means nothing.
+    /// Whether the sender is about to stall. The estimate is then 0 and means nothing.
     #[cfg(feature = "exchange")]
     pub is_farewell: bool,
 }
 
-/// Why received bytes or a decoded frame were refused.
+/// Why received bytes or a decoded frame was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FrameError {
@@ -208,7 +208,7 @@ impl<const N: usize> Frame<N> {
         }
     }
 
-    /// Creates the frame with which an agent tells its neighbours that it is about to stand still.
+    /// Creates the frame with which an agent tells its neighbours that it is about to stall.
     #[cfg(feature = "exchange")]
     #[must_use]
     pub const fn farewell(sender: AgentId, sequence: u32, tick: Tick) -> Self {
@@ -359,7 +359,7 @@ pub enum Payload {
     Estimate,
     /// A head, the estimate, and how it evolves (feature `field`): `crate::wire::announced`.
     Field,
-    /// Nothing: the sender is about to stand still (feature `exchange`).
+    /// Nothing: the sender is about to stall (feature `exchange`).
     Farewell,
 }
 

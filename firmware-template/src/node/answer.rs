@@ -67,7 +67,7 @@ impl<
         }
     }
 
-    /// Says farewell if the request makes the chip stand still.
+    /// Says farewell if the request makes the chip stall.
     fn leave_before<B: Board>(&mut self, board: &mut B, request: &Request<'_>) {
         self.leave_for(
             board,

@@ -21,7 +21,7 @@ pub(super) struct Counts {
 }
 
 impl Counts {
-    /// Counts a sample that is missing.
+    /// Counts a missing sample.
     #[cold]
     #[inline(never)]
     pub(super) fn sensor(&mut self, kind: SensorErrorKind) {

@@ -97,7 +97,7 @@ impl<
         })
     }
 
-    /// Says farewell to the neighbours if this change makes the chip stand still.
+    /// Says farewell to the neighbours if this change makes the chip stall.
     pub(super) fn leave_for<B: Board>(&mut self, board: &mut B, change: Change) {
         if F::STALLS && self.store.is_to_erase(change) {
             let Self { memory, guard, counts, flash_used, .. } = self;
@@ -248,7 +248,7 @@ impl<
 impl<const N: usize, const FEATURES: usize, const NEIGHBOURS: usize, const SAMPLES: usize>
     Memory<N, FEATURES, NEIGHBOURS, SAMPLES>
 {
-    /// Tells the neighbours that the chip is about to stand still, if they know the agent.
+    /// Tells the neighbours that the chip is about to stall, if they know the agent.
     #[cfg(feature = "exchange")]
     #[inline(never)]
     fn leave<B: Board>(

@@ -28,7 +28,7 @@ impl<
         if let Some(session) = self.memory.session.first() {
             self.limits.advance(periods, session.params.step_size());
         }
-        // A chip that stands still while it erases has missed these ticks through no fault of the
+        // A chip that stalls while it erases has missed these ticks through no fault of the
         // package.
         let stalled =
             if core::mem::take(&mut self.flash_used) { periods.saturating_sub(1) } else { 0 };

@@ -82,7 +82,7 @@ function agentTable(run) {
     ...column("rmse_no_network", "RMSE, no network [state unit]"),
     // The field observer leaves a network out until it is trained, so both are the same.
     ...(run.observer && has("rmse_no_network") ? [] : column("rmse_untrained", "RMSE, untrained [state unit]")),
-    ...column("change_percent_no_network", "change against no network", percent),
+    ...column("change_percent_no_network", "change relative to no network", percent),
     ...column("max_error", "largest error [state unit]"),
     ...column("innovation_rms", "innovation RMS [output unit]"),
     ...column("explained_variance", "variance explained", (value) => percent(value == null ? value : 100 * value).replace("+", "")),
@@ -170,8 +170,8 @@ function trainingSection(run) {
     { name: "stopped by", value: (training) => training.stopped_by, isText: true },
   ];
   const all = run.curves.length < run.trainings.length ? element("p", { class: "note" },
-    `The curves of the first ${run.curves.length} of ${run.trainings.length} trainings; training.csv has all.`) : null;
-  return [run.curves.length ? curvePlot(run.curves) : null, all, table("Trainings of the inner layers", columns, run.trainings)];
+    `The curves of the first ${run.curves.length} of ${run.trainings.length} training runs; training.csv has all.`) : null;
+  return [run.curves.length ? curvePlot(run.curves) : null, all, table("Training runs of the inner layers", columns, run.trainings)];
 }
 
 function theorySection({ checks, observer }) {

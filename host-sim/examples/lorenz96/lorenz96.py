@@ -26,7 +26,7 @@ SPIN_UP = 400  # steps of the period until the state is on the attractor
 
 
 def golden(states: int, steps: int, every: int) -> None:
-    """Writes every so many of the states that DAPPER's model passes through."""
+    """Writes every `every`-th of the states that DAPPER's model passes through."""
     x = x0(states)
     lines = ["t," + ",".join(f"x{i + 1}" for i in range(states))]
     for k in range(steps + 1):

@@ -7,7 +7,8 @@
 //! every machine.
 //!
 //! Cost: one product and `2 k dim` operations in iteration `k`, at most [`ITERATIONS_MAX`]
-//! iterations, fewer if both ends converge. Up to that dimension the result is exact to rounding.
+//! iterations, fewer if both ends converge. Up to that dimension the result is exact to within
+//! rounding error.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -129,7 +129,7 @@ impl<'s> KnownModel<'s> {
 #[derive(Clone, Debug)]
 pub struct Driven<'s> {
     basis: Basis<'s>,
-    /// The known inputs that the basis takes beside the state, shape `[p]`.
+    /// The known inputs that the basis takes in addition to the state, shape `[p]`.
     known: Vec<f32>,
 }
 

@@ -36,7 +36,7 @@ const RELAY_SHARE_MAX: f64 = 0.9;
 const STRIDE: usize = 10;
 
 /// Returns the certified bound on `|e_1|`, all agents stacked, after a long time, with the network in use after these
-/// trainings. \[state unit\]
+/// training runs. \[state unit\]
 ///
 /// # Errors
 /// Why nothing is certified.
@@ -95,7 +95,8 @@ enum NotCertified {
     )]
     Inequality,
     #[error(
-        "relays announce at more than {RELAY_SHARE_MAX} of the radius; use an observer.relay_share up to that"
+        "relays announce at more than {RELAY_SHARE_MAX} of the radius; set observer.relay_share to at most \
+         {RELAY_SHARE_MAX}"
     )]
     RelayShare,
     #[error(
@@ -112,8 +113,8 @@ enum NotCertified {
     )]
     Disturbance,
     #[error(
-        "a gain of {} 1/s times the step is {}, and the bound holds up to 1: use a shorter time.step, or a smaller \
-         observer.root_gain or observer.tree_gain",
+        "a gain of {} 1/s times the step is {}, and the bound holds only up to 1: use a shorter time.step, or a \
+         smaller observer.root_gain or observer.tree_gain",
         significant(*.gain, 4), significant(.gain * .step, 4)
     )]
     Step { gain: f64, step: f64 },
@@ -128,9 +129,7 @@ enum NotCertified {
     Settings,
     #[error("there are more than {AGENTS_MAX} agents, whose eigenvalues are not computed")]
     Agents,
-    #[error(
-        "states of this dimension do not fit into a weight package, whose settings it is about"
-    )]
+    #[error("the state dimension is too large for a weight package, which the certificate needs")]
     Dimension,
     #[error("the plant's trajectory, or the network along it, has no finite values")]
     NotFinite,
@@ -144,7 +143,7 @@ fn check_steps(slow: f64, fast: f64, step: f64) -> Result<(), NotCertified> {
     if is_short { Ok(()) } else { Err(NotCertified::Steps { slow, fast, step }) }
 }
 
-/// The paper's observer.
+/// Returns the certified bound of the paper's observer.
 fn paper(scenario: &Scenario) -> Result<f64, NotCertified> {
     let gain = GainCertificate::new(scenario);
     let slow = gain.eigenvalue_min - gain.uncertainty;
@@ -251,8 +250,8 @@ fn trees<const N: usize>(
     if radius.is_finite() { Ok(radius) } else { Err(NotCertified::Inequality) }
 }
 
-/// Returns the package of agent 1 with the observer's parameters, for the network in use after these trainings;
-/// `None` without a network.
+/// Returns the package of agent 1 with the observer's parameters, for the network in use after these training
+/// runs; `None` without a network.
 pub(super) fn equipped(
     scenario: &Scenario,
     plan: &Plan<'_>,
@@ -369,10 +368,10 @@ mod tests {
         for (settings, reason) in [
             (
                 "tree_gain = 1500.0",
-                "a gain of 1500 1/s times the step is 1.500, and the bound holds up to 1",
+                "a gain of 1500 1/s times the step is 1.500, and the bound holds only up to 1",
             ),
             ("root_gain = 1500.0", "a gain of 1500 1/s times the step is 1.500"),
-            ("relay_share = 1.0", "use an observer.relay_share up to that"),
+            ("relay_share = 1.0", "set observer.relay_share to at most 0.9"),
             (
                 "coupling = \"current\"\nradius = 0.1\nroot_gain = 100.0\ntree_gain = 100.0",
                 "current estimates",

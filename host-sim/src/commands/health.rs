@@ -71,7 +71,11 @@ pub(super) fn table(agents: &[AgentStatistics]) -> String {
     match watched.iter().filter(nonzero).count() {
         0 => text.push_str("  nothing to report\n"),
         count if count > LINES => {
-            let _ = writeln!(text, "  and {} more agents, with --format json", count - LINES);
+            let _ = writeln!(
+                text,
+                "  and {} more agents; use --format json to list them all",
+                count - LINES
+            );
         }
         _ => {}
     }
@@ -103,7 +107,10 @@ mod tests {
         let many = vec![of(Some(counters)); 15];
         let text = table(&many);
         assert_eq!(text.lines().count(), 1 + 12 + 1 + 1);
-        assert!(text.ends_with("  and 3 more agents, with --format json\n\n"), "{text}");
+        assert!(
+            text.ends_with("  and 3 more agents; use --format json to list them all\n\n"),
+            "{text}"
+        );
     }
 
     #[test]

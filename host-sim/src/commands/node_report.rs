@@ -142,7 +142,7 @@ pub(super) fn text(report: &Report) -> String {
         ResetCause::Pin => "reset pin",
         ResetCause::Watchdog => "watchdog: due work was not done",
         ResetCause::Software => "the firmware's own request",
-        ResetCause::Panic => "a panic or a fault of the firmware",
+        ResetCause::Panic => "a panic or fault in the firmware",
     };
     text += &format!("  last reset: {cause}{boots}\n");
     if let Some(panic) = &report.panic {

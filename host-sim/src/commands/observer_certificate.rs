@@ -1,4 +1,4 @@
-//! What is certified of the field observer: of a run, and before one.
+//! What the certificate says about the field observer, for a finished run and before a run.
 
 use serde::Serialize;
 
@@ -21,8 +21,8 @@ pub(super) struct ObserverCertificate {
 }
 
 impl ObserverCertificate {
-    /// Returns what is certified with the network in use after these trainings; `None` for the paper's observer, which the
-    /// theorems' checks cover.
+    /// Returns what is certified with the network in use after these training runs; `None` for the paper's observer,
+    /// which the theorems' checks cover.
     pub(super) fn new(scenario: &Scenario, trainings: &[TrainingRecord]) -> Option<Self> {
         scenario.observer.as_ref()?;
         Some(match certified::bound(scenario, trainings) {
@@ -53,7 +53,7 @@ pub(super) struct ObserverPreview {
     from: f64,
     /// Whether a run trains a network, for which the settings are derived again.
     trained_later: bool,
-    /// The wanted error, if settings follow from it. \[standard deviation\]
+    /// The requested error, if settings follow from it. \[standard deviation\]
     derived_from_error: Option<f64>,
     /// Those of agent 1 with the network that it starts with.
     settings: Observer,

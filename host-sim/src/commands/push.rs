@@ -32,7 +32,7 @@ pub(super) struct Arguments {
     /// Leave the verified package on the node without activating it
     #[arg(long, conflicts_with_all = ["activate", "confirm", "wait_confirmed"])]
     no_activate: bool,
-    /// Activate the package on trial, from the next step on [the default]
+    /// Activate the package on trial, starting with the next step [the default]
     #[arg(long)]
     activate: bool,
     /// Confirm the package at once, without a trial
@@ -190,7 +190,7 @@ fn text(arguments: &Arguments, report: &Report) -> String {
     };
     let state = match (report.activated, report.confirmed) {
         (_, true) => "in use and confirmed",
-        (true, false) => "in use from the next step on, on trial",
+        (true, false) => "in use on trial, starting with the next step",
         (false, false) => "verified, waiting to be activated",
     };
     format!(

@@ -140,7 +140,7 @@ impl Report {
     /// Returns errors and broadcasts, each with its title.
     pub(super) fn tables(&self) -> [(String, Table); 2] {
         let levels = |group: &'static str| ["median", "min", "max"].map(|level| [group, level]);
-        let change = "change against no network [%]";
+        let change = "change relative to no network [%]";
         let errors = self.table(&[levels("RMSE, learned"), levels(change)].concat(), |agent| {
             [entries(agent.rmse, number), entries(agent.change_percent_no_network, percent)]
                 .concat()
@@ -225,10 +225,10 @@ mod tests {
         let expected = "\
 2 runs, seeds 3 to 4; the runs without learning do not depend on the seed
 
-            RMSE, learned      change against no network [%]
-agent  median     min     max     median       min       max
-------------------------------------------------------------
-    1  0.2000  0.1000  0.3000        0.0     -50.0     +50.0
+            RMSE, learned      change relative to no network [%]
+agent  median     min     max      median        min         max
+----------------------------------------------------------------
+    1  0.2000  0.1000  0.3000         0.0      -50.0       +50.0
 
        broadcasts, learned   mean interval, learned [s]
 agent   median   min   max    median       min       max

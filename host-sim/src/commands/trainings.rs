@@ -9,7 +9,7 @@ use crate::engine::TrainingRecord;
 use crate::number::significant;
 use crate::report::tables::DIGITS;
 
-/// Number of trainings listed individually.
+/// Number of training runs listed individually.
 const LINES: usize = 12;
 
 /// A training in the JSON report. Errors are mean squared errors of the packaged network. \[squared
@@ -58,7 +58,7 @@ impl TrainingSummary {
     }
 }
 
-/// Summarises all trainings of a run.
+/// Summarises all training runs of a run.
 pub(super) fn summaries(records: &[TrainingRecord]) -> Vec<TrainingSummary> {
     records.iter().map(TrainingSummary::new).collect()
 }
@@ -108,7 +108,7 @@ pub(super) fn text(trainings: &[TrainingSummary]) -> String {
     }
     if trainings.len() > LINES {
         let more = trainings.len() - LINES;
-        let _ = writeln!(text, "  and {more} more trainings, in training.csv");
+        let _ = writeln!(text, "  and {more} more training runs, in training.csv");
     }
     text + "\n"
 }

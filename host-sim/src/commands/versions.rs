@@ -50,8 +50,8 @@ pub(super) fn save(
     Ok(package)
 }
 
-/// Locks the folder of `path` against other trainings until the value is dropped. Returns `None` on
-/// file systems that cannot lock folders.
+/// Locks the folder that contains `path` against other training runs until the returned file is dropped. Returns
+/// `None` on file systems that cannot lock folders.
 ///
 /// # Errors
 /// [`ErrorCode::FolderInUse`](super::ErrorCode) if another command holds the lock for longer than

@@ -246,7 +246,7 @@ impl Board {
         }
     }
 
-    /// Sends a package and activates it on trial, from the next step on.
+    /// Sends a package and activates it on trial, starting with the next step.
     ///
     /// # Errors
     /// See [`Fault`].
@@ -361,7 +361,7 @@ impl Board {
     }
 
     /// Decrypts a request, without its number, that another client has sealed for this node. `None`
-    /// if it is not sealed, or with another key.
+    /// if it is not sealed, or sealed with a different key.
     ///
     /// # Errors
     /// See [`Fault`].

@@ -3,7 +3,7 @@
 //! 1. The files given on the command line.
 //! 2. The project that contains the current folder, whose firmware is built. No other project is
 //!    ever built; in particular, this program does not remember where it was built itself.
-//! 3. The files installed beside this program by `cargo xtask install`, in `../share/host-sim`.
+//! 3. The files installed alongside this program by `cargo xtask install`, in `../share/host-sim`.
 
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
@@ -111,7 +111,7 @@ fn source() -> Result<Source, FirmwareError> {
     share.map(Source::Share).ok_or_else(|| {
         FirmwareError::NotFound(
             "no firmware for emulated nodes: this folder is not in the project, and no firmware is \
-             installed beside this program; give --firmware ELF and --memory MEMORY.X, change to the \
+             installed alongside this program; give --firmware ELF and --memory MEMORY.X, change to the \
              project's folder, or run `cargo xtask install` there"
                 .to_owned(),
         )

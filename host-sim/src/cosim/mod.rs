@@ -296,7 +296,7 @@ pub enum CosimError {
         scenario: String,
     },
     /// Clients cannot be served.
-    #[error("{}: {error}; choose another folder with a short path with --serve", path.display())]
+    #[error("{}: {error}; pass --serve a writable folder with a short path", path.display())]
     Serve {
         /// The folder or the socket.
         path: PathBuf,

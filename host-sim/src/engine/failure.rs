@@ -56,7 +56,7 @@ pub(super) fn training_error(
 pub fn remedy(scenario: &Scenario) -> &'static str {
     match scenario.method {
         Method::Periodic => {
-            "this many periodic broadcasts are too few; that is a result of the comparison, not a fault of the \
+            "so few periodic broadcasts are not enough; that is a result of the comparison, not a fault of the \
              scenario"
         }
         Method::Kalman | Method::ExtendedKalman => "lower kalman.consensus_gain",

@@ -123,7 +123,7 @@ pub struct RunResult {
     pub agents: Vec<AgentStatistics>,
     /// The learning cycles: the scenario's, and those that started by themselves; empty without learning.
     pub cycles: Vec<LearningCycle>,
-    /// All trainings, in the order of cycles and agents.
+    /// All training runs, in the order of cycles and agents.
     pub trainings: Vec<TrainingRecord>,
     /// Rows of `x_0` and all `x_hat_i`; empty if the scenario records none.
     pub traces: Traces,

@@ -25,7 +25,7 @@ pub struct FrontierFigure<'a> {
     pub error_label: &'a str,
     /// The forms, in the order of their colours.
     pub forms: Vec<FrontierForm<'a>>,
-    /// The wanted errors, smallest and largest. \[state unit\]
+    /// The requested errors, smallest and largest. \[state unit\]
     pub target: (f64, f64),
     /// What the target is.
     pub target_label: &'a str,

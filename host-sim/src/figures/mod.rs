@@ -134,7 +134,7 @@ pub enum FigureError {
     #[error(transparent)]
     Write(#[from] OutputError),
     /// The PNG or PDF could not be made.
-    #[error("{}: {error}; the SVG beside it is complete", path.display())]
+    #[error("{}: {error}; the SVG in the same folder is complete", path.display())]
     Render {
         /// Path of the PNG or PDF.
         path: PathBuf,

@@ -5,7 +5,7 @@
 //! p_i = S_ii - s - sum over children k of S_ik^2 / p_k,    S - s I > 0 if and only if all p_i > 0
 //! ```
 //!
-//! and bisection on s finds the eigenvalue to rounding in about 60 passes of `O(N)`.
+//! and bisection on s finds the eigenvalue to within rounding error in about 60 passes of `O(N)`.
 
 /// A symmetric matrix on a forest. Nodes are ordered so that every parent comes before its
 /// children.

@@ -31,7 +31,8 @@ pub enum Gate {
     Wanted(BadSettings),
     /// A direction has no speed in the data.
     #[error(
-        "direction {} does not move in the trajectory; take one in which it does", .direction + 1
+        "the state does not change along direction {} in the trajectory; use a trajectory in which it does",
+        .direction + 1
     )]
     Still {
         /// The direction.
@@ -98,8 +99,8 @@ pub enum Gate {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BadSettings {
-    /// The wanted error.
-    #[error("the wanted error is {value}, expected a finite number above 0")]
+    /// The requested error.
+    #[error("the requested error is {value}, expected a finite number above 0")]
     Error {
         /// The value.
         value: f64,

@@ -187,8 +187,8 @@ struct Row {
     direction: Vec<f64>,
 }
 
-/// Chooses `n` rows, sorted and with a positive largest component. Otherwise returns how many are
-/// independent, and a vector that is orthogonal to all rows.
+/// Chooses `n` rows, sorted and with a positive largest component. If fewer than `n` rows are independent,
+/// returns how many are, and a vector that is orthogonal to all rows.
 fn choose(rows: &[Row], n: usize) -> Result<Vec<Vec<f64>>, (usize, Vec<f64>)> {
     let mut chosen = Vec::with_capacity(n);
     let mut basis: Vec<Vec<f64>> = Vec::with_capacity(n);

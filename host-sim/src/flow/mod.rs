@@ -11,7 +11,7 @@
 //! * [`Geometry`]: `T` and the roots, from the output matrices
 //! * [`Trees`]: who listens to whom, with and without some agents
 //! * [`Statistics`]: what the rules need to know of the plant, from a [`Trajectory`]
-//! * [`settings`]: radii, gains and limits for a wanted error, or the [`Gate`] that refuses them
+//! * [`settings`]: radii, gains and limits for a requested error, or the [`Gate`] that refuses them
 //! * [`gains`]: the root's Kalman gains for a disturbance with a harmonic
 //! * [`Certificate`], [`ultimate`]: the decay rate of the error for any gains, and its bound
 

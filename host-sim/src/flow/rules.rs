@@ -1,4 +1,4 @@
-//! Settings from data, for a wanted error `eps` in standard deviations of the state:
+//! Settings from data, for a requested error `eps` in standard deviations of the state:
 //!
 //! ```text
 //! r = 1.5 eps / |column c of T^-1|          omega_b = 4 s sqrt(m / r), at least 2 s
@@ -20,7 +20,7 @@ use super::geometry::Geometry;
 use super::statistics::Statistics;
 use super::trajectory::units;
 
-/// Radius of the trigger in wanted errors.
+/// Radius of the trigger in requested errors.
 const RADIUS: f64 = 1.5;
 /// `omega_b / (s sqrt(m / r))`.
 const BANDWIDTH: f64 = 4.0;

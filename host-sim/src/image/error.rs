@@ -10,8 +10,8 @@ use super::uf2_format::{PAYLOAD, UF2_FAMILIES};
 pub enum ImageError {
     /// The package is empty or longer than the slot.
     #[error(
-        "the package has {found} bytes and a slot of the memory map {slot_length}; use a package of at \
-             least 1 byte, train a smaller network, or make the slots in memory.x longer"
+        "the package has {found} bytes and each slot in memory.x {slot_length}; use a package of at least 1 byte, \
+             train a smaller network, or increase the length of the slots in memory.x"
     )]
     PackageLength {
         /// Length of the package. \[bytes\]
@@ -27,7 +27,7 @@ pub enum ImageError {
     RecordLength {
         /// Length of the record. \[bytes\]
         found: usize,
-        /// Length of a half of the commit area. \[bytes\]
+        /// Length of half of the commit area. \[bytes\]
         half_length: u32,
     },
     /// A segment leaves the region or overlaps another one.
@@ -82,11 +82,11 @@ pub enum ImageError {
     },
     /// The journal has no room for keys.
     #[error(
-        "a half of the commit area has {found} bytes, but a node with keys needs {needed}; make \
-             _weights_commit_length in memory.x longer"
+        "each half of the commit area has {found} bytes, but a node with keys needs {needed}; increase \
+             _weights_commit_length in memory.x"
     )]
     NoRoomForKeys {
-        /// Length of a half of the commit area. \[bytes\]
+        /// Length of half of the commit area. \[bytes\]
         found: u32,
         /// Length that is needed. \[bytes\]
         needed: u32,

@@ -58,7 +58,7 @@ fn joined(mut segments: Vec<Segment>, erase_size: u64) -> Vec<Segment> {
     joined
 }
 
-/// Compares the symbols of the memory map, as far as the firmware uses them.
+/// Compares those symbols of the memory map that the firmware uses.
 fn check_symbols(elf: &Elf<'_>, region: &WeightsRegion) -> Result<(), ImageError> {
     for (symbol, expected) in [
         ("_weights_slot_a_origin", region.slot_a),

@@ -234,7 +234,7 @@ impl Operators {
         }
     }
 
-    /// Renames `current` to `old` and `next` to `current`, as far as this has not been done.
+    /// Renames `current` to `old` and `next` to `current`, where this has not been done yet.
     fn replace(&self, current: &str, next: &str, old: &str) -> Result<(), KeyFolderError> {
         let [current, next, old] = [current, next, old].map(|name| self.folder.join(name));
         let rename = |from: &Path, to: &Path| {

@@ -46,7 +46,7 @@ const FILE_MAX: u64 = 1 << 20;
 /// Size of the address space: 2^32.
 pub(crate) const ADDRESSES: u64 = 1 << 32;
 
-/// Regions and symbols of a memory map, in the order of the file.
+/// Regions and symbols of a memory map, in file order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MemoryMap {
     /// The file, as the user named it.

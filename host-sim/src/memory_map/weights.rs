@@ -190,7 +190,7 @@ fn check_inside(map: &MemoryMap, region: &Region, part: Part) -> Result<(), Memo
                 "{name} starts at {origin:#x} and has {length:#x} bytes, but {REGION} ends at {:#x}",
                 region.end()
             ),
-            &format!("shorten it, or make {REGION} longer"),
+            &format!("shorten it, or increase the length of {REGION}"),
         ));
     }
     Ok(())

@@ -50,7 +50,7 @@ pub fn requirements<'k>(
 /// Returns whether a package is signed with a key other than this one.
 ///
 /// # Errors
-/// If it is, and `replace` does not allow to replace that signature. `path` is the package's name in errors.
+/// If it is, and `replace` does not allow that signature to be replaced. `path` is the package's name in errors.
 pub fn check_signature_before(
     path: &Path,
     bytes: &PackageBytes,

@@ -23,7 +23,7 @@ use crate::warning::{Warning, WarningCode};
 /// Maximum length of the comments. \[byte\]
 const HEAD_MAX: u64 = 1 << 14;
 
-/// The origin of a recording, as far as known.
+/// The origin of a recording, if known.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RecordingSource {
     /// The agent, from 1.

@@ -1,4 +1,4 @@
-//! Errors of the trainings, epoch by epoch.
+//! Errors of the training runs, epoch by epoch.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use super::TableError;
 use super::number::{DIGITS, Short};
 use super::table::each_row;
 
-/// Trainings whose curves are kept at most.
+/// Training runs whose curves are kept at most.
 const CURVES: usize = 24;
 
 /// The errors of one training. \[(state unit/s)²\]
@@ -26,7 +26,7 @@ pub struct Curve {
     test: Vec<Short>,
 }
 
-/// Reads the first trainings of `training.csv`.
+/// Reads the first training runs of `training.csv`.
 ///
 /// # Errors
 /// If the table cannot be read or is not of its kind.

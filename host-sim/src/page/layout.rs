@@ -1,4 +1,4 @@
-//! Where the agents of a graph are drawn: small ones on a circle, others by forces.
+//! Where the agents of a graph are drawn. Small graphs are drawn on a circle, larger ones by force-directed placement.
 //!
 //! Agents begin at their distances, in edges, from two pairs of agents that are far apart, so that large
 //! graphs do not fold. Then all repel each other and edges pull; the largest movement shrinks with every
@@ -83,7 +83,7 @@ fn by_distances(agents: usize, edges: &[(usize, usize)]) -> Vec<[f64; 2]> {
     places
 }
 
-/// Returns the number of edges from `start` to each agent; 0 if there is no way.
+/// Returns the number of edges from `start` to each agent; 0 if there is no path.
 fn distances(neighbours: &[Vec<usize>], start: usize) -> Vec<u32> {
     let mut distances = vec![None; neighbours.len()];
     distances[start] = Some(0);

@@ -8,7 +8,7 @@
 //! | --- | --- |
 //! | [`traces`] | errors, states and innovations over time, thinned to what a screen can show |
 //! | [`events`] | times of broadcasts, or their number in intervals |
-//! | [`curves`] | errors of the trainings, epoch by epoch |
+//! | [`curves`] | errors of the training runs, epoch by epoch |
 //! | [`layout`] | where agents of a graph are drawn |
 
 pub mod curves;

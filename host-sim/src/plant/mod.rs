@@ -110,7 +110,7 @@ impl Plant {
     }
 
     /// Returns the names of the known inputs, shape `[p]`: functions of time that every agent knows, and
-    /// that networks take beside the state.
+    /// that networks take in addition to the state.
     #[must_use]
     pub fn input_names(&self) -> Vec<String> {
         match self {

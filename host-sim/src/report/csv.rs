@@ -101,7 +101,7 @@ pub struct EpochRow {
     pub gradient_norm: f64,
 }
 
-/// Writes the epochs of trainings.
+/// Writes the epochs of training runs.
 ///
 /// # Errors
 /// If the file cannot be written.

@@ -207,9 +207,10 @@ fn read(root: &Table<'_>) -> Result<Scenario, ScenarioError> {
         && trigger != TriggerModel::Event
     {
         let hint = "remove [trigger], or set observer.coupling = \"held\"";
-        return Err(
-            table.error("has no effect on trees, which have a radius in each direction", hint)
-        );
+        return Err(table.error(
+            "has no effect with coupling = \"trees\", where each direction has its own radius",
+            hint,
+        ));
     }
     let recipes = learning::recipes(root)?;
     let learning = learning::cycles(root, &time, agents.len(), &recipes, network.is_some())?;

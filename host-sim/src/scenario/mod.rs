@@ -86,11 +86,11 @@ pub struct Scenario {
     pub observer: Option<ObserverSettings>,
     /// The agents; agent `i` of the paper is entry `i - 1`.
     pub agents: Vec<Agent>,
-    /// Learning cycles, in the order of the file.
+    /// Learning cycles, in file order.
     pub learning: Vec<LearningCycle>,
     /// Cycles that follow the last of these by themselves; none without them.
     pub relearning: Option<Relearning>,
-    /// Training recipes that learning cycles refer to, in the order of the file.
+    /// Training recipes that learning cycles refer to, in file order.
     pub recipes: Vec<Recipe>,
     /// Health monitoring of the agents; `None` if they are not monitored.
     pub health: Option<HealthSettings>,
@@ -186,7 +186,7 @@ impl Scenario {
         self.trigger.departure().map_or(Ok(()), |model| Err(SimulationOnly::Trigger { model }))
     }
 
-    /// Returns `p`, the number of known inputs that a network takes beside the state.
+    /// Returns `p`, the number of known inputs that a network takes in addition to the state.
     #[must_use]
     pub fn known_inputs_of(&self, network: &Network) -> usize {
         network.architecture.inputs().saturating_sub(self.dimension())

@@ -117,7 +117,7 @@ impl<'a> Table<'a> {
         list.list(&list.hint)?.iter().map(Value::table).collect()
     }
 
-    /// Returns all keys with their values, in the order of the file.
+    /// Returns all keys with their values, in file order.
     pub(super) fn entries(&self, example: &str) -> Vec<(&'a str, Value<'a>)> {
         let mut entries: Vec<_> = self.entries.iter().collect();
         entries.sort_by_key(|(key, _)| key.span().start);

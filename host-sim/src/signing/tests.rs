@@ -278,7 +278,7 @@ fn messages_name_the_file_what_it_holds_and_the_hint() {
                 "11qYAYKxCrfVS/7TyWQHOg7hcvPapiMlrwIaaPcHURo",
                 "AQAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA",
             ),
-            "anyone could sign",
+            "anyone could forge signatures",
         ),
     ] {
         let message = read_public_key(&folder.file(name, text)).unwrap_err().to_string();

@@ -8,8 +8,8 @@
 //! blocks; the contribution of a block to the rows below it is one panel product.
 //!
 //! Invariants: the bits do not depend on the machine (no fused multiply-add; square root and
-//! division are correctly rounded by IEEE 754). A matrix that is not positive definite to rounding
-//! is an outcome, `false`, not an error.
+//! division are correctly rounded by IEEE 754). A matrix that is not positive definite to within
+//! rounding error is an outcome, `false`, not an error.
 
 use super::panel_product::{LANES, PanelProduct, Store, round_up, row_stride};
 use pulp::{Arch, Simd, WithSimd};

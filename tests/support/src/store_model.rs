@@ -57,7 +57,7 @@ pub fn length(bytes: &[u8]) -> Option<u32> {
     Some(u32::from(u16::from_le_bytes(*length))).filter(|&length| length >= 8)
 }
 
-/// Erase units of a half of the commit area: the fewest that hold four records of two copies.
+/// Erase units of each half of the commit area: the fewest that hold four records of two copies.
 #[must_use]
 pub const fn half_units(erase_size: usize) -> usize {
     (4 * 2 * RECORD_LENGTH).div_ceil(erase_size)

@@ -173,7 +173,7 @@ impl<const N: usize> FieldParams<N> {
         }
     }
 
-    /// Whether `T T^-1` is the identity, to rounding; if not, with an entry that is wrong.
+    /// Whether `T T^-1` is the identity, to within rounding error; if not, with an entry that is wrong.
     #[inline(never)]
     fn is_inverse(&self) -> (bool, f32) {
         for (column, inverse) in self.inverse.data.0.iter().enumerate() {

@@ -94,7 +94,7 @@ pub enum Kind {
         /// The epoch of that hello.
         epoch: u32,
     },
-    /// The sender is about to stand still. The frame has no estimate.
+    /// The sender is about to stall. The frame has no estimate.
     Farewell,
 }
 

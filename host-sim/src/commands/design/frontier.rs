@@ -44,7 +44,7 @@ pub(super) struct Point {
     pub(super) epsilon: f64,
     /// The largest RMSE of an agent; null if the run failed. \[state unit\]
     pub(super) error: Option<f64>,
-    /// Broadcasts per agent and second. \[1/s\]
+    /// Broadcasts per agent per second. \[1/s\]
     pub(super) rate: Option<f64>,
     /// The ultimate bound without the weight error. \[state unit\]
     pub(super) bound: f64,
@@ -78,7 +78,7 @@ impl Wanted {
 
     fn in_words(self) -> String {
         let error = self.error.map(|error| format!("an error of at most {error}"));
-        let rate = self.rate.map(|rate| format!("at most {rate} broadcasts per agent and second"));
+        let rate = self.rate.map(|rate| format!("at most {rate} broadcasts per agent per second"));
         error.into_iter().chain(rate).collect::<Vec<_>>().join(" and ")
     }
 
@@ -184,7 +184,8 @@ pub(super) fn search(
     }
     bars.finish();
     if let (true, Some(error)) = (points.iter().all(|point| point.error.is_none()), last) {
-        return Err(CommandError::from(error).within("every run of the frontier failed; the last"));
+        return Err(CommandError::from(error)
+            .within("every run of the frontier failed; the last error was"));
     }
     let mut kept =
         points.iter().filter(|point| wanted.error_kept(point) && wanted.rate_kept(point));
@@ -207,7 +208,7 @@ pub(super) fn search(
     }
 }
 
-/// Returns the broadcasts per agent and second of a whole run. \[1/s\]
+/// Returns the broadcasts per agent per second of a whole run. \[1/s\]
 pub(super) fn rate(scenario: &Scenario, agents: &[AgentStatistics]) -> f64 {
     let count: u64 = agents.iter().map(AgentStatistics::broadcasts).sum();
     count as f64 / (agents.len() as f64 * scenario.time.duration)

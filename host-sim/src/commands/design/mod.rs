@@ -61,11 +61,11 @@ pub(super) struct Arguments {
     /// scenario's]
     #[arg(long, value_name = "R", value_parser = positive)]
     radius: Option<f64>,
-    /// Choose the largest radius with which no agent's RMSE exceeds this, by simulation [state unit]
+    /// By simulation, choose the largest radius for which no agent's RMSE exceeds E [state unit]
     #[arg(long, value_name = "E", value_parser = positive, conflicts_with = "radius")]
     max_error: Option<f64>,
-    /// Choose the smallest radius with which agents broadcast at most this often on average, by
-    /// simulation [1/s]
+    /// By simulation, choose the smallest radius for which agents broadcast at most RATE times per second
+    /// on average [1/s]
     #[arg(long, value_name = "RATE", value_parser = positive, conflicts_with = "radius")]
     max_rate: Option<f64>,
     /// Write a copy of the scenario with the chosen numbers; comments stay
@@ -155,7 +155,7 @@ struct Designed {
     error: Option<f64>,
     /// See [`RunResult::state_deviation`]. \[state unit\]
     state_deviation: f64,
-    /// Broadcasts per agent and second in the confirming run. \[1/s\]
+    /// Broadcasts per agent per second in the confirming run. \[1/s\]
     rate: f64,
     frontier: Vec<Point>,
     checks: Checks,

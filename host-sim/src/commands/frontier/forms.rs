@@ -13,7 +13,7 @@
 //! | `known-f` | `flow-eso` with the plant's own model in place of the network |
 //!
 //! For the paper's plant without `[observer]` the settings are those that a study of it found, in the
-//! unit of the state. Otherwise they are derived for several wanted errors, as a fraction of the
+//! unit of the state. Otherwise they are derived for several requested errors, as a fraction of the
 //! state's standard deviation; what `[observer]` sets takes precedence.
 
 use agent_core::observer::field::{Coupling, HoldKind};
@@ -96,7 +96,7 @@ pub(super) struct Variant {
 pub(super) enum Level {
     /// The largest radius of the trigger. \[state unit\]
     Radius(f64),
-    /// The wanted error, as a fraction of the state's standard deviation.
+    /// The requested error, as a fraction of the state's standard deviation.
     Error(f64),
     /// Time between broadcasts. \[s\]
     Period(f64),
@@ -108,7 +108,7 @@ const EPSILONS: [f64; 5] = [0.0625, 0.25, 1.0, 2.25, 4.0];
 /// Radii, as multiples of that in `[observer]`.
 const RADII: [f64; 5] = [0.25, 0.5, 1.0, 1.5, 2.0];
 
-/// Wanted errors, as fractions of the state's standard deviation.
+/// Requested errors, as fractions of the state's standard deviation.
 const ERRORS: [f64; 6] = [0.005, 0.01, 0.014, 0.025, 0.05, 0.1];
 
 /// The smallest-trace solution of `BMI` for the paper's network. \[1/s\]
@@ -172,7 +172,7 @@ impl<'s> Forms<'s> {
         }
     }
 
-    /// Returns a variant of `flow-eso` that broadcasts every so many steps and at no other time.
+    /// Returns a variant of `flow-eso` that broadcasts every `every` steps and at no other time.
     pub(super) fn periodic(&self, of: &Variant, every: u32) -> Variant {
         let mut variant = of.clone();
         variant.form = Form::Periodic;
@@ -218,7 +218,7 @@ impl<'s> Forms<'s> {
         if self.is_study || observer.radius.is_some() {
             return self.over_radii(form, &observer, radii);
         }
-        // This coupling takes no settings from a wanted error: the rule for the radius is applied
+        // This coupling takes no settings from a requested error: the rule for the radius is applied
         // here, component by component.
         let variant = |error: f64| {
             let radius = self.deviation.iter().map(|unit| 1.5 * error * unit).collect();

@@ -27,7 +27,7 @@ pub(super) struct Point {
     pub(super) form: Form,
     /// The largest radius of the trigger. \[state unit\]
     pub(super) radius: Option<f64>,
-    /// The wanted error that radii and gains are derived from, as a fraction of the state's standard
+    /// The requested error that radii and gains are derived from, as a fraction of the state's standard
     /// deviation.
     pub(super) wanted_error: Option<f64>,
     /// Time between broadcasts of the form `periodic`. \[s\]

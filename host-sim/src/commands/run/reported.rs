@@ -144,7 +144,7 @@ impl ReportedRun {
         &self.scenario
     }
 
-    /// Returns statistics, traces, trainings and digest.
+    /// Returns statistics, traces, training runs and digest.
     #[must_use]
     pub fn result(&self) -> &RunResult {
         &self.result

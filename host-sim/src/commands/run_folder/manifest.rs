@@ -112,7 +112,7 @@ pub(in crate::commands) fn command_of(folder: &Path) -> Vec<String> {
     Manifest::read(folder).map(|manifest| manifest.command).unwrap_or_default()
 }
 
-/// Returns whether all files of a run's folder are from one run, as far as its manifest knows.
+/// Returns whether all files of a run's folder are from one run, according to its manifest.
 pub(in crate::commands) fn is_complete(folder: &Path) -> bool {
     Manifest::read(folder).is_none_or(|manifest| manifest.complete)
 }

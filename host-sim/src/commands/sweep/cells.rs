@@ -91,12 +91,12 @@ impl Cells {
             let text = format!("{}{line}: {problem}; {hint}", path.display());
             CommandError::usage(text).about(path)
         };
-        let hint = "check the path of --points";
+        let hint = "check the path given to --points";
         let (head, content) = text::open(path)
             .map_err(|error| refused(None, &format!("cannot be read: {error}"), hint))?;
         text::check_text(&head).map_err(|(problem, hint)| refused(None, &problem, &hint))?;
         let content = Limited::new(content, POINTS_BYTES_MAX);
-        let too_long = "check the path of --points, or give fewer points";
+        let too_long = "check the path given to --points, or give fewer points";
         let hint = "write a line with keys, and one line of values for each cell";
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(content);
         let invalid = |error: &csv::Error| {
@@ -218,7 +218,7 @@ impl Cells {
             let (recorded, simulated) = if is_recorded { (first, other) } else { (other, first) };
             return Err(CommandError::usage(format!(
                 "{recorded} uses a recording, and {simulated} simulates a plant: their results have different \
-                 columns; make a study of each"
+                 columns; run a separate study for each"
             )));
         }
         let mut hash = Fnv::default();
@@ -266,7 +266,7 @@ fn too_many() -> CommandError {
     CommandError::usage(format!("more than {CELLS_MAX} cells; vary fewer keys, or fewer values"))
 }
 
-/// Draws one number in each of `count` parts of a range, in random order.
+/// Draws one number from each of `count` equal parts of a range, in random order.
 fn drawn(range: Range, count: usize, random: Random, dimension: usize) -> Vec<String> {
     let uniform = |k: usize, purpose: u64| random.uniform([dimension as u64, k as u64, purpose]);
     let mut parts: Vec<usize> = (0..count).collect();

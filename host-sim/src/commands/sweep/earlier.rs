@@ -1,6 +1,6 @@
 //! `.results-before.csv`: the rows of a study that is being extended.
 //!
-//! More seeds or initial states put rows between those that are there. So these are set aside in a file
+//! More seeds or initial states put rows between the existing ones. So these are set aside in a file
 //! of their own, and `results.csv` is written once more from its first row: each run whose rows are
 //! known takes them from there. The file is removed when the study is complete. It is written before
 //! anything else changes, so no row is lost if the command ends at any moment.

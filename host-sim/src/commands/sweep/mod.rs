@@ -152,7 +152,8 @@ impl Arguments {
         if !self.shard.is_whole() && (has_parquet || self.figures.has_pdf()) {
             let option = if has_parquet { "--parquet" } else { "--pdf" };
             let problem = format!(
-                "{option}: a part of a study has no such file; give it with --summarise, when all are complete"
+                "{option}: a part of a study has no such file; when all parts are complete, pass the option with \
+                 --summarise"
             );
             return Err(CommandError::usage(problem));
         }

@@ -144,7 +144,7 @@ impl Study {
         let more =
             if self.is_whole() { " (it can have more --seeds and --initial-states)" } else { "" };
         let text = format!(
-            "{folder_shown}: holds another study: {}; repeat its command to continue it{more}, or choose \
+            "{folder_shown}: holds a different study: {}; repeat its command to continue it{more}, or choose \
              another folder with --out",
             differences.join(", ")
         );

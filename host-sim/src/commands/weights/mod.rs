@@ -70,7 +70,7 @@ pub(super) struct Sign {
     keys: Option<PathBuf>,
     #[command(flatten)]
     passphrase: Passphrase,
-    /// Replace an existing signature made with another key
+    /// Replace an existing signature made with a different key
     #[arg(long)]
     replace_signature: bool,
     /// Give the package this package epoch: for going back to an earlier network, because nodes accept
@@ -132,7 +132,7 @@ fn sign(arguments: &Sign) -> Result<(), CommandError> {
         epoch: u32,
         version: u32,
         key_fingerprint: String,
-        /// Whether a signature made with another key was replaced.
+        /// Whether a signature made with a different key was replaced.
         replaced_signature: bool,
     }
     let mut bytes = PackageBytes::load(&arguments.package)?;

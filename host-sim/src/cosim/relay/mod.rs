@@ -19,8 +19,8 @@
 //! place, and a reset request restarts it.
 //!
 //! A package activated by a client is also switched in for the simulated agent before the next
-//! step, so that comparing continues. Comparing stops for a node that a client resets or starts from
-//! a different estimate, and for a node that receives frames from such a node which the simulated
+//! step, so that the comparison continues. It stops for a node that a client resets or starts from a
+//! different estimate, and for a node that receives, from such a node, frames that the simulated
 //! neighbour did not send.
 
 mod client;

@@ -93,7 +93,7 @@ pub(super) struct Medium {
     /// For each agent, when it may send again. \[s\]
     allowed: Vec<f64>,
     waiting: Vec<Option<Waiting>>,
-    /// The agents that wait.
+    /// The waiting agents.
     queue: Vec<usize>,
     held_up: u64,
 }
@@ -158,7 +158,7 @@ impl Medium {
         self.held_up += self.queue.len() as u64;
     }
 
-    /// Withdraws the frame of this sender that waits; returns whether there is one.
+    /// Withdraws the waiting frame of this sender; returns whether there is one.
     pub(super) fn withdraw(&mut self, sender: usize) -> bool {
         self.queue.retain(|&other| other != sender);
         self.waiting[sender].take().is_some()

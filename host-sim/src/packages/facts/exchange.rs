@@ -39,7 +39,7 @@ impl Exchange {
         };
         let fade = self.fade_s.map(|[from, to]| {
             format!(
-                "silent neighbours fade out from {} to {} s",
+                "neighbours fade out between {} and {} s of silence",
                 significant(from, 4),
                 significant(to, 4)
             )

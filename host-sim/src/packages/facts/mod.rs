@@ -271,7 +271,7 @@ fn decimal(value: f32) -> f64 {
     value.to_string().parse().unwrap_or_else(|_| f64::from(value))
 }
 
-/// Returns the limits that are there, in words.
+/// Returns the limits that are present, in words.
 fn limits(limits: &TrialLimits) -> String {
     let number = |limit: Option<f32>, words: &str| limit.map(|limit| format!("{words} {limit}"));
     let count = |limit: Option<u32>, words: &str| limit.map(|limit| format!("{words} {limit}"));

@@ -1,4 +1,4 @@
-//! Changes of single keys in the text of a scenario: `design.epsilon=500`.
+//! Changes of individual keys in the text of a scenario: `design.epsilon=500`.
 //!
 //! A change replaces or adds one value before the text is read, so the loader checks the result as a
 //! whole and the scenario's hash covers it. Comments stay, and so does every line that is not changed.

@@ -42,7 +42,7 @@ pub(in crate::scenario) fn exchange(
     };
     match table.get("gap", "0.01") {
         Some(gap) if exchange.validate().is_err() => {
-            Err(gap.error("is above the heartbeat", "use a gap up to exchange.heartbeat"))
+            Err(gap.error("is above the heartbeat", "use a gap of at most exchange.heartbeat"))
         }
         _ => Ok(exchange),
     }

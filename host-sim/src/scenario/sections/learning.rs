@@ -74,7 +74,9 @@ fn cycle(
     check_before_end(&apply_value, apply_at, time)?;
     if apply_at < to {
         let problem = format!("is {}, before collecting ends", apply_value.written());
-        return Err(apply_value.error(problem, format!("use a time not before collect_to, {to}")));
+        return Err(
+            apply_value.error(problem, format!("use a time no earlier than collect_to, {to}"))
+        );
     }
     let recipe_value = table.require("recipe", "\"plain\"")?;
     let recipe = recipe_value.text()?;
@@ -220,7 +222,7 @@ fn stride(table: &Table<'_>, key: &str) -> Result<Option<NonZeroU32>, ScenarioEr
     Ok(stride.and_then(NonZeroU32::new))
 }
 
-/// Reads the recipes, in the order of the file.
+/// Reads the recipes, in file order.
 pub(in crate::scenario) fn recipes(root: &Table<'_>) -> Result<Vec<Recipe>, ScenarioError> {
     let Some(table) = root.get_table("recipes")? else { return Ok(Vec::new()) };
     let recipe = |(name, value): (&str, Value<'_>)| recipe(name, &value.table()?);

@@ -13,7 +13,7 @@ use crate::scenario::{Time, Window};
 pub struct LinkSettings {
     /// What every edge does to frames.
     pub edge: EdgeSettings,
-    /// What single edges do differently; of several rules for the same time, the last one applies.
+    /// What individual edges do differently; of several rules for the same time, the last one applies.
     pub rules: Vec<EdgeRule>,
     /// Times at which groups of agents do not reach each other.
     pub partitions: Vec<Partition>,
@@ -166,7 +166,7 @@ fn edge_settings(table: &Table<'_>, default: EdgeSettings) -> Result<EdgeSetting
                 let problem = format!("is {}, above the delay, {delay}", value.written());
                 return Err(value.error(
                     problem,
-                    "use a jitter up to the delay: frames cannot arrive before they are sent",
+                    "use a jitter of at most the delay: frames cannot arrive before they are sent",
                 ));
             }
             jitter
@@ -237,7 +237,7 @@ fn partition(table: &Table<'_>, time: &Time, graph: &Graph) -> Result<Partition,
         }
     }
     if group.iter().all(|&number| number == group[0]) {
-        let hint = "use at least two groups, or leave agents out: those form another one";
+        let hint = "use at least two groups, or omit some agents: the omitted ones form a group of their own";
         return Err(groups.error("contains all agents in one group", hint));
     }
     Ok(Partition { group, window: window(table, time)? })

@@ -57,8 +57,8 @@ impl Method {
             Self::Periodic => "samples of its own estimates, and how often the observer broadcasts",
             Self::Regression => "samples of its own estimates",
             Self::KnownModel => "f exactly, not the disturbance",
-            Self::Kalman => "f near the mean state; the size of disturbance and noise",
-            Self::ExtendedKalman => "f exactly; the size of disturbance and noise",
+            Self::Kalman => "f near the mean state; the size of the disturbance and the noise",
+            Self::ExtendedKalman => "f exactly; the size of the disturbance and the noise",
         }
     }
 

@@ -16,7 +16,7 @@ use crate::scenario::reader::{STATE, Table, Value};
 pub struct ObserverSettings {
     /// When agents switch to it. \[s\]
     pub from: f64,
-    /// The wanted error, as a fraction of the state's standard deviation.
+    /// The requested error, as a fraction of the state's standard deviation.
     pub error: f64,
     /// How agents are coupled.
     pub coupling: Coupling,
@@ -230,7 +230,7 @@ pub(in crate::scenario) fn observer(
         && coupling != Coupling::Trees
         && others.iter().any(|other| other != first)
     {
-        let problem = "has several radii, but without trees one trigger is for all directions";
+        let problem = "has several radii, but without trees, one trigger covers all directions";
         return Err(value.error(problem, "write one number, or set coupling = \"trees\""));
     }
     let settings = ObserverSettings {
@@ -267,7 +267,9 @@ pub(in crate::scenario) fn observer(
             if value.is_none() {
                 return Err(table.missing(
                     key,
-                    format!("add {key} = 100.0; only trees derive their gains by themselves"),
+                    format!(
+                        "add {key} = 100.0; gains are derived automatically only with coupling = \"trees\""
+                    ),
                 ));
             }
         }

@@ -134,7 +134,7 @@ fn expressions(table: &Table<'_>) -> Result<ExpressionSystem, ScenarioError> {
         .map_err(|refused| refused_expression(&derivative, &texts, &refused))
 }
 
-/// Reads `{ u = "sin(t)" }`: known inputs, in the order of the file.
+/// Reads `{ u = "sin(t)" }`: known inputs, in file order.
 fn inputs(
     table: &Table<'_>,
     states: &[String],

@@ -118,7 +118,7 @@ pub(super) fn window(table: &Table<'_>, time: &Time) -> Result<Window, ScenarioE
 /// Creates the error for a time after the end of the run.
 pub(super) fn after_the_end(value: &Value<'_>, time: &Time) -> ScenarioError {
     let problem = format!("is {}, after the end of the run", value.written());
-    value.error(problem, format_args!("use a time up to time.duration, {}", time.duration))
+    value.error(problem, format_args!("use a time of at most time.duration, {}", time.duration))
 }
 
 /// Checks that something at `at` \[s\] happens before the run ends.

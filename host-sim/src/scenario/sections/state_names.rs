@@ -39,7 +39,7 @@ pub(super) fn check_name(
     }
 }
 
-/// Checks that a network can take `inputs` known inputs beside `states` state components.
+/// Checks that a network can take `inputs` known inputs in addition to `states` state components.
 pub(super) fn check_inputs(
     value: &Value<'_>,
     inputs: usize,
@@ -50,7 +50,7 @@ pub(super) fn check_inputs(
         return Ok(());
     }
     let found = has(inputs, "known input", "known inputs");
-    let problem = format!("{found} beside {}", counted(states as u64, "state", "states"));
+    let problem = format!("{found} in addition to {}", counted(states as u64, "state", "states"));
     let hint = match room {
         0 => "remove plant.inputs".to_owned(),
         room => format!("use at most {room}"),

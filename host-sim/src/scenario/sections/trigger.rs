@@ -13,7 +13,7 @@ pub enum TriggerModel {
     /// The paper's event trigger, with constants from `[design]`.
     #[default]
     Event,
-    /// Every so many steps.
+    /// At this period, in steps.
     Periodic {
         /// Steps between broadcasts.
         every: NonZeroU32,

@@ -301,7 +301,7 @@ impl Client {
                 message => message?,
             };
             if number.is_some() && found.is_none() && message.is_answer() {
-                // To a plain request of another program, or from a node that knows no numbers.
+                // To a plain request of another program, or from a node that does not support numbers.
                 let unknown = matches!(message, Message::Refused(Problem::Unknown));
                 if unknown && self.numbering == Numbering::Untried {
                     (self.numbering, number) = (Numbering::Unknown, None);

@@ -159,7 +159,7 @@ pub enum StopReason {
     Epochs,
     /// The gradient vanished: a stationary point.
     Gradient,
-    /// No damping up to the largest reduces the error: a minimum to rounding.
+    /// No damping value up to the maximum reduces the error: a minimum to within rounding error.
     DampingMax,
     /// The validation error was above its minimum for too many epochs in a row.
     Validation,
@@ -357,7 +357,8 @@ impl Step {
     }
 
     /// Computes the candidate from `parameters` with damping μ. Returns `false` if the damped
-    /// matrix is not positive definite to rounding, in which case the step must be rejected.
+    /// matrix is not positive definite to within rounding error, in which case the step must be
+    /// rejected.
     ///
     /// # Panics
     /// If `parameters` does not have length n.
