@@ -195,7 +195,7 @@ fn samples_of_an_estimate_that_diverged_are_not_blamed_on_units() {
     let folder = Folder::new("methods-diverged");
     let error = folder.fail("run deployment --set method=periodic", 1);
     assert!(error.contains("its estimates had diverged"), "{error}");
-    assert!(error.contains("too few"), "{error}");
+    assert!(error.contains("not enough"), "{error}");
 }
 
 #[test]

@@ -423,7 +423,7 @@ fn a_pdf_is_of_the_table_beside_it_or_not_there() {
     assert_eq!(fs::read(folder.path("out/tradeoff.pdf")).unwrap(), pdf);
     // A part of a study has no picture.
     let message = folder.fail(&format!("{small} --out parts --shard 1/2 --pdf"), 2);
-    assert!(message.contains("give it with --summarise"), "{message}");
+    assert!(message.contains("pass the option with --summarise"), "{message}");
 }
 
 #[test]

@@ -55,7 +55,7 @@ fn an_operator_provisions_pushes_rotates_and_takes_the_keys_away() {
 
     // Only the owner of the firmware's public key gives it its first keys.
     let (_, error) = texts(&folder.run("node node provision --keys others --agent 1"));
-    assert!(error.contains("must be signed by the operator"), "{error}");
+    assert!(error.contains("must be signed with the operator key"), "{error}");
     let (told, error) = texts(&folder.run("node node provision --keys keys --agent 2"));
     assert!(told.contains("provisioned as agent 2"), "{told}{error}");
     assert!(error.contains("in the clear"), "{error}");
@@ -128,7 +128,7 @@ fn an_operator_rotates_the_key_that_signs() {
     // The firmware of a blank node knows only the old key.
     folder.succeed("node node factory-reset --keys keys");
     let (_, error) = texts(&folder.run("node node provision --keys keys --agent 1"));
-    assert!(error.contains("must be signed by the operator"), "{error}");
+    assert!(error.contains("must be signed with the operator key"), "{error}");
 }
 
 #[test]

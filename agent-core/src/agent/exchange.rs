@@ -107,7 +107,7 @@ impl ExchangeParams {
 
     /// Whether this is the paper's exchange.
     #[inline]
-    fn is_papers(&self) -> bool {
+    pub(crate) fn is_papers(&self) -> bool {
         !ENABLED || *self == Self::PAPER
     }
 

@@ -245,19 +245,16 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
         }
         let is_trusted = self.is_trusted();
         for (hold, pending) in holds.iter_mut().zip(self.pending.as_mut()) {
-            match (pending.take(), *hold) {
-                (None, _) => {}
-                (Some(sample), Some(held))
-                    if !is_trusted && !sample.replaces(&held, now, silence) =>
-                {
-                    drained.stale += 1;
-                }
-                (Some(sample), held) => {
-                    let was_absent = held.is_some_and(|held| held.is_absent());
-                    drained.has_returned |= was_absent && !sample.is_absent();
-                    *hold = Some(arrived(&sample, held.as_ref()));
-                }
+            let Some(sample) = pending else { continue };
+            let held = hold.as_ref();
+            if held.is_some_and(|held| !is_trusted && !sample.replaces(held, now, silence)) {
+                drained.stale += 1;
+            } else {
+                let was_absent = held.is_some_and(Hold::is_absent);
+                drained.has_returned |= was_absent && !sample.is_absent();
+                *hold = Some(arrived(sample, held));
             }
+            *pending = None;
         }
         self.count = 0;
         drained

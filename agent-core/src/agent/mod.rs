@@ -355,6 +355,7 @@ where
 
         // Nothing can fail from here on.
         let sample = Sample { tick, estimate: self.estimate, derivative };
+        let hold_error = difference(self.own_hold.estimate(), &estimate);
         let silence = params.restart_silence;
         let (exchange, step_size) = (&self.exchange, params.step_size);
         let arrived = |sample: &Hold<N>, held: Option<&Hold<N>>| {
@@ -372,15 +373,19 @@ where
         if let Some(planned) = &planned {
             self.outer_weights.commit(planned);
         }
-        Ok(StepOutput { broadcast: self.broadcast_if_due(params, tick + 1), sample })
+        Ok(StepOutput { broadcast: self.broadcast_if_due(params, tick + 1, &hold_error), sample })
     }
 
     /// Samples the estimate and returns it as a frame if the trigger fires at `tick`.
     #[inline]
-    fn broadcast_if_due(&mut self, params: &AgentParams<'_, N>, tick: Tick) -> Option<Frame<N>> {
-        let hold_error = difference(self.own_hold.estimate(), &self.estimate);
+    fn broadcast_if_due(
+        &mut self,
+        params: &AgentParams<'_, N>,
+        tick: Tick,
+        hold_error: &StateVector<N>,
+    ) -> Option<Frame<N>> {
         let held = self.own_hold.age(tick);
-        let event = params.trigger.fires(held, &hold_error, &self.consensus_term);
+        let event = params.trigger.fires(held, hold_error, &self.consensus_term);
         // After the field observer, neighbours must not let the last sample evolve any longer.
         #[cfg(feature = "field")]
         let event = event || self.own_hold.announced().is_some();
@@ -422,13 +427,23 @@ where
                 let replaces = |held| pending.replaces(held, tick, params.restart_silence);
                 inbox.is_trusted() || held.is_none_or(replaces)
             });
-            let arrived = arriving.map(|sample| {
-                self.exchange.arrived(exchange, params.step_size, sample, held, tick)
-            });
-            let Some(hold) = arrived.as_ref().or(held).filter(|hold| !hold.is_absent()) else {
+            let moved;
+            let hold = match arriving {
+                // The paper's holds stay as they were sent.
+                Some(sample) if !exchange.is_papers() => {
+                    let step_size = params.step_size;
+                    moved = self.exchange.arrived(exchange, step_size, sample, held, tick);
+                    Some(&moved)
+                }
+                sample => sample.or(held),
+            };
+            let Some(hold) = hold.filter(|hold| !hold.is_absent()) else {
                 continue;
             };
-            let weight = neighbour.weight * exchange.share(hold.age_here(tick));
+            let mut weight = neighbour.weight;
+            if exchange.fades() {
+                weight *= exchange.share(hold.age_here(tick));
+            }
             ObserverParams::<N>::add_to_consensus(
                 &mut term,
                 weight,

@@ -13,7 +13,7 @@ use agent_core::observer::network::{LAYER_WIDTH_MAX, Scratch};
 use agent_core::observer::trigger::Trigger;
 use agent_core::package::{AgentConfig, Refusal, Requirements, Serial, accept};
 use agent_core::service::Outcome;
-use agent_core::wire::frame::FrameBytes;
+use agent_core::wire::frame::{Frame, FrameBytes};
 use agent_core::{StateVector, Tick};
 
 use super::clock::Clock;
@@ -31,6 +31,11 @@ use crate::basis::{Basis, Driven, SharedNetwork, substitute};
 use crate::packages::PackageBytes;
 use crate::plant::Recorded;
 use crate::scenario::{self, Scenario};
+
+#[inline]
+fn encoded<const N: usize>(frame: Frame<N>) -> (Frame<N>, FrameBytes) {
+    (frame, frame.encode())
+}
 
 type HeldPlaces<const N: usize> = Vec<Option<Hold<N>>>;
 
@@ -108,8 +113,8 @@ pub(super) struct SimulatedAgent<'s, const N: usize> {
     pub(super) statistics: AgentStatistics,
     /// Sample of the last step, if it is usable for training, as on a node.
     pub(super) last_sample: Option<Sample<N>>,
-    /// Frame broadcast by the last step.
-    pub(super) outgoing: Option<FrameBytes>,
+    /// Frame broadcast by the last step, and its bytes.
+    pub(super) outgoing: Option<(Frame<N>, FrameBytes)>,
     pub(super) failure: Option<StepError>,
     /// Outcome of the last step, as reported by a node.
     outcome: Outcome,
@@ -134,7 +139,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             .row_iter()
             .map(|row| std::array::from_fn(|column| row[column]))
             .collect();
-        let outgoing = Some(state.announcement(&params).encode());
+        let outgoing = Some(encoded(state.announcement(&params)));
         Ok(Self {
             params,
             state,
@@ -208,17 +213,22 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
     /// Writes the measurement for this step.
     #[inline]
     fn measure(&mut self, around: &Surroundings<'_, N>) {
-        let mut truth = *around.truth;
-        if let Some(clock) = &self.clock {
-            let late = clock.lateness(around.tick);
-            for (truth, before) in truth.iter_mut().zip(around.before) {
-                *truth += late * (*truth - before);
+        let between: [f64; N];
+        let truth = match &self.clock {
+            None => around.truth,
+            Some(clock) => {
+                let late = clock.lateness(around.tick);
+                between = std::array::from_fn(|k| {
+                    let now = around.truth[k];
+                    now + late * (now - around.before[k])
+                });
+                &between
             }
-        }
+        };
         if let Some(recorded) = self.scenario.plant.recording() {
-            return self.measure_recorded(recorded, around.tick, &truth);
+            return self.measure_recorded(recorded, around.tick, truth);
         }
-        let exact = |row: &[f64; N]| row.iter().zip(&truth).fold(0.0, |sum, (c, x)| sum + c * x);
+        let exact = |row: &[f64; N]| row.iter().zip(truth).fold(0.0, |sum, (c, x)| sum + c * x);
         match &mut self.sensor {
             None => {
                 for (measured, row) in self.measurement.iter_mut().zip(&self.output_matrix) {
@@ -292,20 +302,30 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let network = network.as_ref();
         let mut bounds = Norms::default();
         let mut refused = 0;
-        let is_watched = watch.is_some();
-        let step = match watch {
+        let is_measured = self.is_measured;
+        let mut report = |frame: Option<&Frame<N>>, sample: Option<&Sample<N>>| {
+            self.outgoing = frame.copied().map(encoded);
+            // Without a measurement the estimate says nothing new about the plant.
+            self.last_sample = sample.filter(|_| is_measured).copied();
+        };
+        let outcome;
+        match watch {
             // The paper's agent: without a trained box or restarts.
             None => {
                 around.link.deliver(index, around.tick, &mut |bytes| {
                     refused +=
                         u64::from(around.sent.accept(inbox, params.neighbours(), bytes).is_err());
                 });
-                match state.attempt(params, network, tick, measurement, inbox) {
+                match &state.attempt(params, network, tick, measurement, inbox) {
                     Ok(output) => {
                         bounds = Norms::of(params, network, state, &output.sample, norms);
-                        WatchedStep::Taken(output)
+                        report(output.broadcast.as_ref(), Some(&output.sample));
+                        (outcome, self.failure) = (Outcome::Stepped, None);
                     }
-                    Err(error) => WatchedStep::Refused(error),
+                    Err(error) => {
+                        report(None, None);
+                        (outcome, self.failure) = (Outcome::from(error), Some(*error));
+                    }
                 }
             }
             Some(watch) => {
@@ -315,7 +335,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
                 around.link.deliver(index, around.tick, &mut |bytes| {
                     refused += u64::from(around.sent.receive(&mut agent, bytes).is_err());
                 });
-                agent.attempt_observed(
+                let step = agent.attempt_observed(
                     network,
                     outer_weights,
                     tick,
@@ -324,25 +344,23 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
                         let network = network.filter(|_| network_in_use);
                         bounds = Norms::of(params, network, state, &output.sample, norms);
                     },
-                )
+                );
+                report(step.broadcast(), step.sample());
+                outcome = Outcome::from(&step);
+                self.failure = match step {
+                    WatchedStep::Refused(error) => Some(error).filter(|&e| !is_recoverable(e)),
+                    WatchedStep::Taken(_) | WatchedStep::Restarted(_) => None,
+                };
             }
-        };
+        }
         statistics.frames_refused += refused;
         statistics.hold_error_rate_max = statistics.hold_error_rate_max.max(bounds.hold_error_rate);
         statistics.outer_weights_norm_max =
             statistics.outer_weights_norm_max.max(bounds.outer_weights_norm);
-        self.outcome = match Outcome::from(&step) {
-            Outcome::Stepped if !self.is_measured => Outcome::NoMeasurement,
+        self.outcome = match outcome {
+            Outcome::Stepped if !is_measured => Outcome::NoMeasurement,
             outcome => outcome,
         };
-        self.outgoing = step.broadcast().map(|frame| frame.encode());
-        // Without a measurement the estimate says nothing new about the plant.
-        self.last_sample = step.sample().filter(|_| self.is_measured).copied();
-        self.failure = match step {
-            WatchedStep::Refused(error) => Some(error),
-            WatchedStep::Taken(_) | WatchedStep::Restarted(_) => None,
-        }
-        .filter(|&error| !is_watched || !is_recoverable(error));
         if self.lacks_input() {
             // No monitor recovers from it.
             self.failure = Some(StepError::Diverged);
@@ -372,7 +390,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         if let Some(package) = &package {
             self.load_after(package, None, networks)?;
         }
-        self.outgoing = Some(self.state.announcement(&self.params).encode());
+        self.outgoing = Some(encoded(self.state.announcement(&self.params)));
         Ok(())
     }
 
@@ -414,6 +432,11 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             Some(field) => field.limited(estimate).into(),
             None => (*estimate).into(),
         }
+    }
+
+    /// Returns the bytes that the last step broadcast.
+    pub(super) fn broadcast(&self) -> Option<&[u8]> {
+        self.outgoing.as_ref().map(|(_, bytes)| bytes.as_slice())
     }
 
     /// Returns `x_hat` at the tick after the last step.
@@ -472,7 +495,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
             estimate: self.estimate(),
             derivative: self.last_sample.as_ref().map(|sample| sample.derivative.as_slice()),
             outer_weights: self.outer_weights(),
-            broadcast: self.outgoing.as_deref(),
+            broadcast: self.broadcast(),
         })
     }
 

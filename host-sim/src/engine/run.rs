@@ -389,7 +389,7 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
         let agents = self.agents.iter().enumerate().map(|(index, agent)| AgentStart {
             package: packages.get(index),
             estimate: agent.estimate(),
-            announcement: agent.outgoing.as_deref(),
+            announcement: agent.broadcast(),
             neighbours: graph.neighbours(index).iter().map(|n| n.agent).collect(),
         });
         run_observer.begin(&agents.collect::<Vec<_>>()).map_err(RunError::RunObserver)
@@ -682,11 +682,11 @@ impl<'s, const N: usize> Simulation<'s, '_, N> {
         let keep = self.scenario.record.events;
         let is_evaluated = self.evaluation.contains(&tick);
         for (index, agent) in self.agents.iter_mut().enumerate() {
-            if let Some(bytes) = &agent.outgoing {
+            if let Some((frame, bytes)) = &agent.outgoing {
                 agent.statistics.broadcast(tick, bytes.len(), keep, is_evaluated);
                 self.digest.add(bytes);
                 self.link.send(index, tick, bytes);
-                self.sent.note(index, bytes);
+                self.sent.note(index, frame, bytes);
                 agent.outgoing = None;
             }
         }

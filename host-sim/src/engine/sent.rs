@@ -1,6 +1,6 @@
-//! The last broadcast of every agent, decoded once for all that receive it.
+//! The last broadcast of every agent, decoded at most once for all that receive it.
 //!
-//! A receiver looks a frame up by the sender that its bytes name and accepts what was decoded only if all
+//! A receiver looks a frame up by the sender that its bytes name and accepts what is known of it only if all
 //! bytes are those that were sent. Frames that a link has changed or delayed past the next broadcast are
 //! decoded by their receivers, so what an agent receives does not depend on this.
 //!
@@ -24,14 +24,19 @@ impl<const N: usize> Sent<N> {
         Self { last: vec![(FrameBytes::new(), None); agents] }
     }
 
-    /// Decodes what `sender`, from 0, broadcasts.
+    /// Keeps what `sender`, from 0, broadcasts, with its bytes.
     #[inline]
-    pub(super) fn note(&mut self, sender: usize, bytes: &FrameBytes) {
-        let (sent, frame) = &mut self.last[sender];
+    pub(super) fn note(&mut self, sender: usize, frame: &Frame<N>, bytes: &FrameBytes) {
+        let (sent, kept) = &mut self.last[sender];
         // In place: there is room for far longer frames, which need not be copied.
         sent.clear();
         let _ = sent.extend_from_slice(bytes);
-        *frame = Frame::decode(bytes).ok();
+        // The numbers of an announcement may be rounded in its bytes.
+        *kept = match frame.announced {
+            None => Some(*frame),
+            Some(_) => Frame::decode(bytes).ok(),
+        };
+        debug_assert_eq!(*kept, Frame::decode(bytes).ok());
     }
 
     /// Keeps a frame for the next step of an agent that is not monitored: [`Inbox::accept`].
@@ -81,7 +86,7 @@ mod tests {
             let frame = Frame::new(sender, 7, 40, [0.1, -2.0].into());
             let bytes = frame.encode();
             assert_eq!(sent.frame(&bytes), None);
-            sent.note(sender as usize - 1, &bytes);
+            sent.note(sender as usize - 1, &frame, &bytes);
             assert_eq!(sent.frame(&bytes), Some(&frame));
             for bit in 0..8 * bytes.len() {
                 let mut changed = bytes.clone();
@@ -90,7 +95,8 @@ mod tests {
             }
             assert_eq!(sent.frame(&bytes[..bytes.len() - 1]), None);
             // The next broadcast replaces it.
-            sent.note(sender as usize - 1, &Frame::<2> { sequence: 8, ..frame }.encode());
+            let next = Frame::<2> { sequence: 8, ..frame };
+            sent.note(sender as usize - 1, &next, &next.encode());
             assert_eq!(sent.frame(&bytes), None);
         }
         for stranger in [0, 301, u32::MAX] {
