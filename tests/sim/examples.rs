@@ -15,6 +15,9 @@ mod compare_triggers;
 #[allow(dead_code, reason = "its main is not called here")]
 #[path = "../../host-sim/examples/radio_outages.rs"]
 mod radio_outages;
+#[allow(dead_code, reason = "its main is not called here")]
+#[path = "../../host-sim/examples/random_geometries.rs"]
+mod random_geometries;
 
 /// The first five seconds of the paper's experiment, evaluated from the second on.
 fn short() -> Scenario {
@@ -50,6 +53,21 @@ fn triggers_are_compared_by_errors_and_broadcasts() {
     let rare = figures("event, epsilon = 48000");
     for (often, rare) in figures("event, epsilon = 3000 ").iter().zip(&rare) {
         assert!(rare.1 < often.1 && rare.0 > often.0, "{table}");
+    }
+}
+
+#[test]
+fn random_geometries_keep_the_requested_error() {
+    for (plant, seed) in random_geometries::plants().iter().zip(1..) {
+        let found = random_geometries::geometry(plant, seed).unwrap();
+        let found = found.map(|(knowledge, found)| {
+            let (error, broadcasts) = found.unwrap_or_else(|| panic!("{}: refused", plant.name));
+            assert!(error < 1.2, "{}, {knowledge:?}: {error}", plant.name);
+            assert!(broadcasts > 1.0, "{}, {knowledge:?}: {broadcasts}", plant.name);
+            broadcasts
+        });
+        // Agents that know the plant have less to say.
+        assert!(found[2] < found[0], "{}: {found:?}", plant.name);
     }
 }
 
