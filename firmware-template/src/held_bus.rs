@@ -12,13 +12,13 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::digital::{InputPin, OutputPin};
 use embedded_hal::i2c::{Error as _, ErrorKind, ErrorType, I2c, Operation};
 
-/// Half a period of the clock: 100 kHz, which every device understands. \[ns\]
+/// Half a clock period at 100 kHz, which every device supports. \[ns\]
 const HALF_PERIOD: u32 = 5_000;
 
 /// Clocks of a byte and its acknowledgement.
 const CLOCKS: u32 = 9;
 
-/// Frees the bus if a device holds it; returns whether its data line is high in the end. Both pins are
+/// Frees the bus if a device holds it; returns whether its data line is high at the end. Both pins are
 /// open-drain outputs, with the lines' pull-ups.
 ///
 /// # Errors

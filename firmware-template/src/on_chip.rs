@@ -133,7 +133,7 @@ pub fn public_key() -> Result<Option<PublicKey>, InvalidKey> {
     const BYTES: [u8; 32] = crate::key_from_hex(env!(
         "NODE_PUBLIC_KEY",
         "set NODE_PUBLIC_KEY to the operator's public key in hexadecimal digits, which \
-         `host-sim weights keygen` prints, or build without the feature `signature`"
+         `host-sim weights keygen` prints, or build without the `signature` feature"
     ));
     PublicKey::from_bytes(&BYTES).map(Some).map_err(|_| InvalidKey)
 }
@@ -141,7 +141,7 @@ pub fn public_key() -> Result<Option<PublicKey>, InvalidKey> {
 /// Returns the key that packages must be signed with, if the firmware was built with one.
 ///
 /// # Errors
-/// Never fails without the feature `signature`.
+/// Never fails without the `signature` feature.
 #[cfg(not(feature = "signature"))]
 pub fn public_key() -> Result<Option<PublicKey>, InvalidKey> {
     Ok(None)

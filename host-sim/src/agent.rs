@@ -57,7 +57,7 @@ pub enum AgentError {
     /// The package has more neighbours than [`NEIGHBOURS_MAX`], or a parameter of its own is invalid.
     #[error("the package: {0}; train a package for an agent that it fits")]
     Parameter(ParameterError),
-    /// The initial estimate has another dimension than the package.
+    /// The initial estimate's dimension differs from the package's.
     #[error(
         "the initial estimate has {found} components; give the {expected} of the package's agent"
     )]

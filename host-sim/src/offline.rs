@@ -259,7 +259,7 @@ pub fn version_after(serial: Serial, of: &Path) -> Result<u32, ErrorReport> {
     serial.version.checked_add(1).ok_or_else(|| {
         let Serial { epoch, version } = serial;
         ErrorReport::usage(format!(
-            "{}: version {version} is the largest possible, so nodes accept no later one of its package epoch; \
+            "{}: version {version} is the largest possible, so there can be no newer version in this package epoch; \
              choose a version with --package-version and sign the package with --epoch {}",
             of.display(),
             epoch.saturating_add(1)

@@ -207,8 +207,8 @@ fn a_folder_without_usable_results_is_refused() {
     let folder = Folder::new("report-bad");
     folder.write("mine.toml", &short().text());
     let cases: [(&str, &str, &str); 9] = [
-        ("results.json", "", "cannot read"),
-        ("results.json", "{\"results\":1,", "cannot read"),
+        ("results.json", "", "cannot be read"),
+        ("results.json", "{\"results\":1,", "cannot be read"),
         ("results.json", "{\"results\":1,\"agents\":[]}", "missing field"),
         ("traces.csv", "t,x\n0,1\n", "not the table of this run's traces"),
         ("traces.csv", "time [s],x [state unit]\n0,1\n", "not the table of this run's traces"),

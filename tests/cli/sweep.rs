@@ -63,7 +63,7 @@ fn every_row_is_what_run_measures() {
         assert_eq!(row[9], "false");
     }
     let again = folder.succeed(&format!("{STUDY} --out out"));
-    assert!(again.contains("All runs had already been done"), "{again}");
+    assert!(again.contains("All runs were already complete"), "{again}");
 }
 
 #[test]

@@ -121,7 +121,7 @@ fn an_image_for_a_blank_board_holds_its_firmware() {
     assert!(error.contains("refusing to overwrite"), "{error}");
     // Half a gigabyte of blanks.
     let error = folder.fail(&image("--slot a --node node.elf --out node.bin"), 2);
-    assert!(error.contains("use the format hex"), "{error}");
+    assert!(error.contains("use the hex format"), "{error}");
 }
 
 #[test]

@@ -69,7 +69,7 @@ impl Background {
     /// That of `beside`, or the task failed.
     pub(crate) fn finish_after<T>(self, beside: Result<T, Failure>) -> Result<T, Failure> {
         if let Err(failure) = &beside {
-            eprintln!("{failure}\nwaiting for the end of `{}`", self.task);
+            eprintln!("{failure}\nwaiting for `{}` to finish", self.task);
         }
         match (beside, self.finish()) {
             (Ok(result), ended) => ended.map(|()| result),

@@ -150,7 +150,7 @@ fn allow(name: &str, found: &Findings) -> Result<(), Failure> {
     Err(Failure::new(
         format!("{name}: {}", found.forbidden.join("; ")),
         "write a * b + c instead of mul_add, a comparison instead of min and max, and call \
-         the functions of agent-core or the crate libm by their path",
+         the functions of agent-core or the libm crate by their path",
     ))
 }
 

@@ -16,7 +16,7 @@ const EDGES: [&str; 2] = ["normal,dev", "normal,build,dev"];
 /// Compares the features of dependencies.
 ///
 /// # Errors
-/// A dependency has other features than in a build of the workspace.
+/// A dependency has features that differ from those in a workspace build.
 pub(crate) fn check() -> Result<(), Failure> {
     let mut count = 0;
     for edges in EDGES {
@@ -25,11 +25,11 @@ pub(crate) fn check() -> Result<(), Failure> {
         if !different.is_empty() {
             return Err(Failure::new(
                 format!(
-                    "{ALONE} alone is built with other features than the workspace: {}",
+                    "{ALONE} on its own is built with features that differ from the workspace's: {}",
                     different.join("; ")
                 ),
-                "`cargo tree --workspace --edges features --invert CRATE` names who asks for more; ask for the same \
-                 in the workspace's Cargo.toml, or for less there",
+                "`cargo tree --workspace --edges features --invert CRATE` shows which crate enables more features; \
+                 enable the same in the workspace's Cargo.toml, or fewer in that crate",
             ));
         }
         count += alone.lines().count();

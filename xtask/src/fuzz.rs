@@ -150,8 +150,8 @@ fn fuzz_cargo(task: &str) -> Command {
     command
 }
 
-/// Makes `command` compile with coverage. The target is named so that the flags do not apply to
-/// build scripts and procedural macros.
+/// Makes `command` compile with coverage. `--target` is given explicitly so that the flags do
+/// not apply to build scripts and procedural macros.
 fn apply<'command>(command: &'command mut Command, host: &str) -> &'command mut Command {
     command
         .env_remove("CARGO_ENCODED_RUSTFLAGS")

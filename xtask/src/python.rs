@@ -21,7 +21,7 @@ pub(crate) fn python(debian: bool) -> Result<(), Failure> {
     let folder = target_folder().join("python");
     if !folder.join("bin/pip").exists() {
         let mut command = Command::new("python3");
-        let hint = "Python 3.10 or newer with the module venv is needed";
+        let hint = "Python 3.10 or newer with the venv module is needed";
         run("Python", command.args(["-m", "venv"]).arg(&folder), hint)?;
     }
     let module = workspace().join("python");

@@ -59,7 +59,7 @@ pub(crate) fn size(names: &[&str], debian: bool) -> Result<(), Failure> {
         None => Ok(()),
         Some(what) => Err(Failure::new(
             what,
-            "find what grew with `arm-none-eabi-nm --size-sort`; change a budget, in the board's \
+            "use `arm-none-eabi-nm --size-sort` to find what grew; change a budget, in the board's \
              Cargo.toml, only together with docs/performance.md",
         )),
     }

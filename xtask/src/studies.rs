@@ -130,7 +130,7 @@ impl Study {
     fn dask(&self, python: &Path) -> Result<(), Failure> {
         if !python.join("bin/dask").exists() {
             let mut command = Command::new("python3");
-            let hint = "Python 3.10 or newer with the module venv is needed";
+            let hint = "Python 3.10 or newer with the venv module is needed";
             run("Python", command.args(["-m", "venv"]).arg(python), hint)?;
         }
         let mut install = Command::new(python.join("bin/pip"));

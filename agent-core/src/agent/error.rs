@@ -69,7 +69,10 @@ impl core::fmt::Display for StepError {
                 write!(f, "the measurement of output {output} is not finite")
             }
             Self::Neighbours { expected, found } => {
-                write!(f, "slots for {found} neighbours, expected {expected}")
+                write!(
+                    f,
+                    "the state or inbox has slots for {found} neighbours, expected {expected}"
+                )
             }
             Self::Features { expected, found } => {
                 write!(f, "the network has {found} features, expected {expected}")

@@ -79,8 +79,8 @@ impl<const N: usize, S: HoldSlots<N>> Inbox<N, S> {
     /// replaces an older pending frame of the same sender.
     ///
     /// # Errors
-    /// Any error of [`Frame::decode`], an unknown sender, or a sender that already has this frame
-    /// or a newer one pending.
+    /// Any error of [`Frame::decode`], an unknown sender, or a sender of which this frame or a
+    /// newer one is already pending.
     pub fn accept(&mut self, neighbours: &[Neighbour], bytes: &[u8]) -> Result<(), FrameError> {
         self.keep(neighbours, &Frame::decode(bytes)?)
     }

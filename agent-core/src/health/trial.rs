@@ -22,9 +22,9 @@
 //! too short for another attempt. Blocks with too few measurements, and those in which the chip stood
 //! still, neither help nor harm; only the first block is compared in any case.
 //!
-//! Without a bound of the innovation, and without a record of what was in use before, nothing tells
+//! Without a bound on the innovation, and without a record of what was in use before, nothing tells
 //! a bad package from a good one: then only the operator can confirm it, before the deadline. The same
-//! holds for a package with a different output matrix from the one before: it changes what the innovation
+//! holds for a package whose output matrix differs from the previous one's: it changes what the innovation
 //! is, and a wrong one can make all agents agree on a wrong state.
 //!
 //! # What happens at the deadline
@@ -99,8 +99,8 @@ pub enum RevertReason {
     Faults,
     /// Too few measurements before the deadline.
     Measurements,
-    /// Nothing to compare with, or a different output matrix from before, and no confirmation by the
-    /// operator before the deadline.
+    /// Nothing to compare with, or an output matrix that differs from the previous one, and no
+    /// confirmation by the operator before the deadline.
     NotConfirmed,
     /// No agent can be built from the package.
     Unusable,
@@ -380,8 +380,8 @@ impl Trial {
         self.verdict
     }
 
-    /// Returns the seconds of the current attempt so far, those that it needs, and those after which
-    /// the trial ends at the latest. \[s\]
+    /// Returns how long the current attempt has lasted, how long it needs to last, and the latest end
+    /// of the trial, counted from its start. \[s\]
     #[must_use]
     pub fn seconds(&self) -> [f32; 3] {
         let block = BLOCK as f32 * self.step_size;

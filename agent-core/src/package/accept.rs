@@ -44,7 +44,7 @@ impl Requirements<'static> {
 }
 
 impl Requirements<'_> {
-    /// Whether packages must be signed. Without the feature `signature` there are no keys.
+    /// Whether packages must be signed. Without the `signature` feature there are no keys.
     pub(super) fn is_signed_only(&self) -> bool {
         cfg!(feature = "signature") && !self.public_keys.is_empty()
     }
@@ -158,7 +158,7 @@ pub enum Refusal {
     /// The package has the epoch and version of the newest one that was ever activated, whether its
     /// content is the same or not.
     Repeated {
-        /// Epoch and version of both.
+        /// The epoch and version that the two packages share.
         serial: Serial,
     },
     /// The board cannot keep the package's step.

@@ -14,7 +14,7 @@
 //! if the package is not signed, and the sections.
 //!
 //! Signing changes no byte outside the signature block. The signature has its own checksum, so that
-//! a node without a public key also refuses a damaged one.
+//! even a node without a public key refuses a package whose signature is damaged.
 //!
 //! Invariant: of two byte strings that differ in one bit, at most one is an envelope.
 

@@ -97,7 +97,7 @@ impl PublicKey {
         }
     }
 
-    /// Decodes a public key; there is none without the feature `signature`.
+    /// Decodes a public key; there is none without the `signature` feature.
     #[cfg(feature = "authentic-frames")]
     pub(crate) fn decoded(bytes: &[u8; PUBLIC_KEY_LENGTH]) -> Option<Self> {
         #[cfg(feature = "signature")]

@@ -67,7 +67,7 @@ pub struct TrialReport {
     pub good_seconds: f32,
     /// Seconds that an attempt needs. \[s\]
     pub needed_seconds: f32,
-    /// Seconds after which the trial ends at the latest. \[s\]
+    /// Latest end of the trial, counted from its start. \[s\]
     pub deadline_seconds: f32,
     /// How it stands.
     pub verdict: Verdict,

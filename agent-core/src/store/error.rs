@@ -104,7 +104,11 @@ impl core::fmt::Display for StoreError {
             Self::NothingStaged => write!(f, "no package is staged"),
             Self::Damaged => write!(f, "the staged package is damaged"),
             Self::TooOften { retry_after_seconds } => {
-                write!(f, "too often, to spare the flash: try again in {retry_after_seconds} s")
+                write!(
+                    f,
+                    "this has been done too often recently; to limit load and wear of the flash, try \
+                     again in {retry_after_seconds} s"
+                )
             }
             Self::Note => write!(f, "the journal has no room for this note"),
         }

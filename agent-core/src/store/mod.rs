@@ -427,8 +427,8 @@ impl<F: MappedFlash> Store<F> {
         Ok(())
     }
 
-    /// Returns whether this change is going to erase flash, if it is not refused. It does not tell so of
-    /// the bytes that complete a header: as soon as the check of [`Self::write`] has accepted it,
+    /// Returns whether this change is going to erase flash, if it is not refused. It does not account
+    /// for the bytes that complete a header: as soon as the check of [`Self::write`] has accepted it,
     /// something is erased. Nor can it foresee that flash refuses a write and has to be erased for that.
     #[must_use]
     pub fn is_to_erase(&self, change: Change) -> bool {
@@ -452,7 +452,7 @@ impl<F: MappedFlash> Store<F> {
     /// staged.
     ///
     /// Once the first [`HEADER_LENGTH`] bytes, or all of a shorter package, are there, `check`
-    /// decides about them. Only then is the package in the slot discarded. If `check` returns
+    /// accepts or rejects them. Only then is the package in the slot discarded. If `check` returns
     /// [`StoreError::TooOften`], the upload stays, and the call can be repeated later; any other
     /// error drops it.
     ///
@@ -560,7 +560,7 @@ impl<F: MappedFlash> Store<F> {
     }
 
     /// Puts the staged package in use, on trial: it stays in use only if it is confirmed before the
-    /// next reboot. `serials` tells, of what `check` has returned, the package's serial and the
+    /// next reboot. `serials` extracts, from what `check` returned, the package's serial and the
     /// highest one from then on; both are recorded. Any unfinished upload is dropped. Returns the
     /// result of the check.
     ///

@@ -16,7 +16,7 @@
 //! | --- | --- | --- |
 //! | 8 | slot in use | one byte: 0 is A, 1 is B, 0xFF none |
 //! | 9 | phase | one byte: 0 confirmed, 1 staged, 2 trial |
-//! | 10 | reason of the last revert | one byte |
+//! | 10 | reason for the last revert | one byte |
 //! | 11 | flags | bit 0: a package was activated; bit 1: one was reverted; others 0 |
 //! | 12, 16 | package in slot A: length, checksum | two `u32`; length 0 means no package |
 //! | 20, 24 | package in slot B | likewise |

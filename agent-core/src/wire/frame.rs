@@ -145,7 +145,7 @@ pub enum FrameError {
         /// The sender.
         sender: AgentId,
     },
-    /// This sender already has this frame, or a newer one, pending for the next step.
+    /// This frame from the sender, or a newer one, is already pending for the next step.
     DuplicateSender {
         /// The sender.
         sender: AgentId,
@@ -184,7 +184,7 @@ impl core::fmt::Display for FrameError {
                 write!(f, "the estimate from agent {sender} is outside the plausible region")
             }
             Self::DuplicateSender { sender } => {
-                write!(f, "agent {sender} already has this frame or a newer one pending")
+                write!(f, "this frame from agent {sender}, or a newer one, is already pending")
             }
         }
     }

@@ -313,7 +313,7 @@ impl Factor<'_, '_> {
         }
     }
 
-    /// Returns a bound of the norm of `|L| |L|^T`.
+    /// Returns a bound on the norm of `|L| |L|^T`.
     fn magnitude(&self) -> f64 {
         let n = self.structure.matrix.block();
         let order = self.structure.elimination.order.len() * n;

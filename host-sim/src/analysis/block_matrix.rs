@@ -86,7 +86,7 @@ impl BlockMatrix<'_> {
         a.chunks(n).zip(b.chunks(n)).fold(0.0, |sum, (a, b)| sum + dot(a, b))
     }
 
-    /// Returns a lower bound of all eigenvalues, by Gershgorin's discs.
+    /// Returns a lower bound on all eigenvalues, by Gershgorin's discs.
     pub(super) fn eigenvalues_above(&self) -> f64 {
         let n = self.block();
         let mut lowest = f64::INFINITY;

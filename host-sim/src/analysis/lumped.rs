@@ -33,10 +33,10 @@ const TOLERANCE: f64 = 0.01;
 /// Size of the lumped uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LumpedUncertainty {
-    /// `chi_bar_max` for the best constant `W_0` found, an upper bound of the optimum. \[state
+    /// `chi_bar_max` for the best constant `W_0` found, an upper bound on the optimum. \[state
     /// unit/s\]
     pub estimate: f64,
-    /// Lower bound of the optimum. \[state unit/s\]
+    /// Lower bound on the optimum. \[state unit/s\]
     pub at_least: f64,
     /// Largest `|d|`, stacked over all agents. \[state unit/s\]
     pub disturbance: f64,

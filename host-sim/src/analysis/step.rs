@@ -97,8 +97,8 @@ impl StepCheck {
             _ if !self.is_used => {
                 format!("time.step = {step} s; agents do not use design.gain, which would limit it")
             }
-            None => "design.gain has an eigenvalue that is not above 0, so errors grow at any \
-                     step; make design.gain positive definite"
+            None => "design.gain has an eigenvalue that is not above 0, so errors grow \
+                     whatever time.step is; make design.gain positive definite"
                 .to_owned(),
             Some(largest) if self.is_stable() => format!(
                 "time.step = {step} s is below {} s, the stability limit of the observer",

@@ -82,7 +82,11 @@ fn departures(scenario: &Scenario) -> Vec<String> {
         _ => {}
     }
     if scenario.observer.as_ref().is_some_and(|observer| observer.coupling == Coupling::Current) {
-        reasons.push("the certificate of current estimates is not computed".to_owned());
+        reasons.push(
+            "no certificate is computed for observer.coupling = \"current\"; set it to \"held\" or \
+             \"trees\""
+                .to_owned(),
+        );
     }
     reasons
 }
@@ -119,7 +123,7 @@ enum NotCertified {
     )]
     Step { gain: f64, step: f64 },
     #[error(
-        "rates of {} to {} 1/s are too quick for steps of {} s: use a shorter time.step, or smaller gains",
+        "rates of {} to {} 1/s are too fast for steps of {} s: use a shorter time.step, or smaller gains",
         significant(*.slow, 4), significant(*.fast, 4), .step
     )]
     Steps { slow: f64, fast: f64, step: f64 },
@@ -374,11 +378,11 @@ mod tests {
             ("relay_share = 1.0", "set observer.relay_share to at most 0.9"),
             (
                 "coupling = \"current\"\nradius = 0.1\nroot_gain = 100.0\ntree_gain = 100.0",
-                "current estimates",
+                "no certificate is computed for observer.coupling = \"current\"",
             ),
             (
                 "coupling = \"held\"\nradius = 0.1\nroot_gain = 100.0\ntree_gain = 700.0",
-                "are too quick for steps of 0.001 s",
+                "are too fast for steps of 0.001 s",
             ),
             (
                 "coupling = \"held\"\nradius = 0.1\nroot_gain = 500.0\ntree_gain = 60.0\ndisturbance = \"bias\"",

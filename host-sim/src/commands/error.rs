@@ -18,7 +18,7 @@ use crate::terminal;
 /// Why a command failed.
 #[derive(Debug)]
 pub enum CommandError {
-    /// An error with a code, which decides about the exit code.
+    /// An error with a code, which determines the exit code.
     Failed {
         /// Code, text, file and line.
         report: Box<ErrorReport>,
@@ -70,7 +70,7 @@ impl CommandError {
     pub(super) fn unreadable(path: &Path, error: impl fmt::Display) -> Self {
         let path_shown = path.display();
         let text =
-            format!("{path_shown}: cannot read: {error}; run the command that wrote it again");
+            format!("{path_shown}: cannot be read: {error}; rerun the command that wrote it");
         Self::new(ErrorCode::Results, text).about(path)
     }
 

@@ -65,7 +65,7 @@ pub(super) struct Arguments {
     count: Option<u64>,
     #[command(flatten)]
     keys: NodeKeys,
-    /// Output format: text, or one JSON object per message and line
+    /// Output format: text, or one JSON object per message, one per line
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }

@@ -116,7 +116,7 @@ pub(super) fn text(report: &Report) -> String {
                  decided within {deadline_seconds:.1} s\n"
             ),
             Verdict::AwaitsOperator => format!(
-                "  trial: nothing to compare the package with, or a different output matrix from before; \
+                "  trial: nothing to compare the package with, or an output matrix that differs from the previous one; \
                  confirm it within {deadline_seconds:.1} s of its activation with `host-sim node ENDPOINT confirm`\n"
             ),
             Verdict::Passed => "  last trial: confirmed\n".to_owned(),
@@ -149,7 +149,8 @@ pub(super) fn text(report: &Report) -> String {
         text += &format!("  the firmware panicked at {}\n", place(panic));
     }
     if report.stalled_ticks > 0 {
-        text += &format!("  ticks missed while flash was written: {}\n", report.stalled_ticks);
+        text +=
+            &format!("  ticks missed while flash was being written: {}\n", report.stalled_ticks);
     }
     text
 }

@@ -61,7 +61,7 @@ impl LoopNode {
     /// Stops comparing the node from this tick on.
     pub(super) fn stop_comparing(&mut self, tick: Tick, reason: &str) {
         if self.report.parted.is_none() {
-            self.report.parted = Some(format!("from tick {tick}, because {reason}"));
+            self.report.parted = Some(format!("from tick {tick} on, because {reason}"));
         }
     }
 

@@ -277,8 +277,8 @@ pub enum CosimError {
     Output(#[from] OutputError),
     /// Authentic frames over links that fail.
     #[error(
-        "scenario {scenario} has links that fail or agents that are down at times, and co-simulation \
-         compares those without keys only, because simulated agents exchange no hello and sync; leave \
+        "scenario {scenario} has links that fail or agents that are down at times; co-simulation can compare such \
+         scenarios only without keys, because simulated agents exchange neither hello nor sync; leave \
          out --keys and --network-key"
     )]
     KeysOverLinks {

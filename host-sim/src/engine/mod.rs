@@ -335,7 +335,7 @@ pub enum RunError {
     #[error("cannot create the initial inner network: {0}")]
     InitialNetwork(TrainingError),
     /// A network could not be trained.
-    #[error("training of agent {agent} in learning cycle {cycle}: {error}")]
+    #[error("training agent {agent} in learning cycle {cycle} failed: {error}")]
     Training {
         /// The agent, from 1.
         agent: usize,

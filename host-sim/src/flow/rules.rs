@@ -128,7 +128,11 @@ pub fn settings(
     wanted: &Wanted,
 ) -> Result<Settings, Gate> {
     let n = geometry.dimension();
-    assert_eq!(statistics.speed.len(), n, "statistics and geometry have the same state");
+    assert_eq!(
+        statistics.speed.len(),
+        n,
+        "statistics and geometry must have the same state dimension"
+    );
     check_arguments(n, wanted)?;
     let (unit, spread) = (units(&statistics.deviation), units(&statistics.spread));
     let mut directions = Vec::with_capacity(n);

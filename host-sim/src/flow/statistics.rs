@@ -60,7 +60,10 @@ impl Statistics {
     #[must_use]
     pub fn new(trajectory: &Trajectory, geometry: &Geometry, model: Option<&Model<'_>>) -> Self {
         let n = geometry.dimension();
-        assert_eq!(trajectory.dimension, n, "trajectory and geometry have the same state");
+        assert_eq!(
+            trajectory.dimension, n,
+            "trajectory and geometry must have the same state dimension"
+        );
         let intervals = trajectory.samples().checked_sub(1).filter(|&k| k > 0);
         let intervals = intervals.expect("a derivative needs two samples");
         let mut along = vec![0.0; trajectory.samples() * n];

@@ -48,7 +48,7 @@ impl Trees {
     #[must_use]
     pub fn without(graph: &Graph, geometry: &Geometry, dead: &[usize]) -> Self {
         let (agents, n) = (graph.agents(), geometry.dimension());
-        assert_eq!(agents, geometry.agents(), "graph and geometry are of one network");
+        assert_eq!(agents, geometry.agents(), "graph and geometry must belong to the same network");
         let mut absent = vec![false; agents];
         for &agent in dead {
             absent[agent] = true;

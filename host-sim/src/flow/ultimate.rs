@@ -6,7 +6,7 @@
 //! |e_1|^2 <= cond(P) 2 (delta + epsilon) / alpha
 //! ```
 //!
-//! with `cond(P) = 1` in the plain norm. rho is the bound of the lumped uncertainty: what the model
+//! with `cond(P) = 1` in the plain norm. rho is the bound on the lumped uncertainty: what the model
 //! does not explain and the clipped estimate of the disturbance, in the unit of xi per second. The
 //! error of the outer weights is not counted.
 //!

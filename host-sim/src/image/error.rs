@@ -32,8 +32,8 @@ pub enum ImageError {
     },
     /// A segment leaves the region or overlaps another one.
     #[error(
-        "{name} would be at {start:#x} to {end:#x}, outside {free_start:#x} to {free_end:#x}, its part \
-             of WEIGHTS; correct the symbols in memory.x"
+        "{name} would occupy {start:#x} to {end:#x}, outside its part of WEIGHTS, {free_start:#x} to \
+             {free_end:#x}; correct the symbols in memory.x"
     )]
     Outside {
         /// Name of the segment.
@@ -100,7 +100,7 @@ pub enum ImageError {
     /// The segments of a UF2 file must start and end on block boundaries.
     #[error(
         "{name} would be at {start:#x} to {end:#x} in a UF2 file, which has blocks of {PAYLOAD} bytes; \
-             set _weights_erase_size in memory.x to a multiple of {PAYLOAD}, or use the format hex"
+             set _weights_erase_size in memory.x to a multiple of {PAYLOAD}, or use the hex format"
     )]
     Uf2Alignment {
         /// Name of the segment.
@@ -157,8 +157,8 @@ pub enum ImageError {
     },
     /// The file would be far longer than its data.
     #[error(
-        "a file of this format would have {length} bytes, most of them blank; use the format hex, or \
-             move slots and commit area closer together in memory.x"
+        "a file of this format would have {length} bytes, most of them blank; use the hex format, or \
+             move the slots and the commit area closer together in memory.x"
     )]
     TooLong {
         /// Length of the image. \[bytes\]
@@ -171,7 +171,7 @@ pub enum ImageError {
         found: String,
     },
     /// The image cannot be encoded as Intel HEX.
-    #[error("cannot encode the image as Intel HEX: {0}; use the format bin")]
+    #[error("cannot encode the image as Intel HEX: {0}; use the bin format")]
     Hex(String),
 }
 

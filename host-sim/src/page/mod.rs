@@ -52,7 +52,7 @@ pub const KIND: FileKind = FileKind {
 #[non_exhaustive]
 pub enum TableError {
     /// The file cannot be read as CSV.
-    #[error("{}: cannot read: {error}; run the command that wrote it again", path.display())]
+    #[error("{}: cannot be read: {error}; rerun the command that wrote it", path.display())]
     Read {
         /// The file.
         path: PathBuf,
@@ -61,7 +61,7 @@ pub enum TableError {
     },
     /// A field is not what its column says.
     #[error(
-        "{}, line {line}: \"{field}\" is not {expected}; run the command that wrote it again",
+        "{}, line {line}: \"{field}\" is not {expected}; rerun the command that wrote it",
         path.display()
     )]
     Field {
@@ -75,7 +75,7 @@ pub enum TableError {
         expected: &'static str,
     },
     /// Columns or rows are missing.
-    #[error("{}: it is not {expected}; run the command that wrote it again", path.display())]
+    #[error("{}: it is not {expected}; rerun the command that wrote it", path.display())]
     Kind {
         /// The file.
         path: PathBuf,

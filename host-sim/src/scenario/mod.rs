@@ -306,7 +306,7 @@ pub struct Design {
     pub k2: f64,
     /// `kappa`. \[s\]
     pub kappa: f64,
-    /// `rho`, the assumed bound of the lumped uncertainty. \[state unit/s\]
+    /// `rho`, the assumed bound on the lumped uncertainty. \[state unit/s\]
     pub rho: f64,
     /// `delta` of `k_1 = k_2 + rho^2 / delta`. \[squared state unit/s\]
     pub delta: f64,

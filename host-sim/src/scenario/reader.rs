@@ -100,19 +100,19 @@ impl<'a> Table<'a> {
 
     /// Returns the table `[key]`, if present.
     pub(super) fn get_table(&self, key: &str) -> Result<Option<Table<'a>>, ScenarioError> {
-        let hint = format!("write a table [{}]", self.path_of(key));
+        let hint = format!("write it as a table, [{}]", self.path_of(key));
         self.get_with_hint(key, hint).map(|value| value.table()).transpose()
     }
 
     /// Returns the table `[key]`, or an error if it is missing.
     pub(super) fn require_table(&self, key: &str) -> Result<Table<'a>, ScenarioError> {
-        let missing = || self.missing(key, format!("add a table [{}]", self.path_of(key)));
+        let missing = || self.missing(key, format!("add the [{}] table", self.path_of(key)));
         self.get_table(key)?.ok_or_else(missing)
     }
 
     /// Returns the tables `[[key]]`; empty if there are none.
     pub(super) fn get_tables(&self, key: &str) -> Result<Vec<Table<'a>>, ScenarioError> {
-        let hint = format!("write tables [[{}]]", self.path_of(key));
+        let hint = format!("write [[{}]] tables", self.path_of(key));
         let Some(list) = self.get_with_hint(key, hint) else { return Ok(Vec::new()) };
         list.list(&list.hint)?.iter().map(Value::table).collect()
     }

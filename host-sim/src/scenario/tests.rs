@@ -382,7 +382,7 @@ fn impossible_links_sensors_clocks_and_lives_are_refused() {
         ("[[link.partitions]]\ngroups = [[1, 2, 3]]", "contains all agents in one group"),
         ("[sensor]\nnoise = -0.1", "sensor.noise: is -0.1, expected a number >= 0"),
         ("[sensor]\nbits = 12", "sensor.bits: needs a range"),
-        ("[sensor]\nrange = [1.0, 1.0]", "sensor.range: does not rise"),
+        ("[sensor]\nrange = [1.0, 1.0]", "sensor.range: its second value is not above the first"),
         ("[sensor]\nrange = [1.0]", "sensor.range: has 1 entry, expected 2"),
         ("[sensor]\nnoize = 0.1", "did you mean noise?"),
         ("[clock]\ndrift = 1e6", "clock.drift: is 1e6, expected -100000 to 100000 ppm"),

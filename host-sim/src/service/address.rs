@@ -109,7 +109,7 @@ impl Address {
             }
             Self::Serial(_, _) => {
                 "check that the board is connected, that no other program is using the line, and that \
-                 you have permission to use it (on Linux, the group dialout)"
+                 you have permission to use it (on Linux, the dialout group)"
                     .to_owned()
             }
         }

@@ -50,7 +50,7 @@ pub struct Recorder {
     newest: Option<Tick>,
     /// The current segment.
     piece: Option<Piece>,
-    /// Position of the last sample in time, in ticks since the zero of the first segment.
+    /// Time of the last sample, in ticks since tick 0 of the first segment.
     last_place: Option<u64>,
     outer_weights: Vec<f32>,
 }

@@ -44,7 +44,7 @@ pub enum ProblemError {
         /// Its index in row-major order.
         index: usize,
     },
-    /// The data have other inputs than the network.
+    /// The data have a different number of inputs from the network.
     #[error("the data have {found} inputs, but the network has {expected}")]
     Inputs {
         /// Number of inputs of the architecture.

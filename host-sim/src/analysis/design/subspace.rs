@@ -37,7 +37,7 @@ const ORDER_MAX: usize = 400;
 pub(super) struct Found {
     pub(super) gain: DMatrix<f64>,
     pub(super) eigenvalue_min: f64,
-    /// Relative gap between both bounds.
+    /// Relative gap between the upper and the lower bound on the cost.
     pub(super) gap: f64,
 }
 

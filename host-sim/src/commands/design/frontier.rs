@@ -220,7 +220,7 @@ pub(super) fn table(points: &[Point]) -> String {
         ["", "radius"],
         ["", "epsilon"],
         ["largest", "RMSE"],
-        ["broadcasts per", "agent and s"],
+        ["broadcasts per", "agent per s"],
         ["ultimate", "bound"],
     ];
     let row = |point: &Point| {

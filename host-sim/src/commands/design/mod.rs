@@ -404,8 +404,7 @@ fn write(
     designed: &Designed,
 ) -> Result<(), CommandError> {
     let edited = text::edited(source, designed).ok_or_else(|| {
-        let text =
-            format!("{}: the table [design] of the scenario cannot be edited", path.display());
+        let text = format!("{}: the scenario's [design] table cannot be edited", path.display());
         CommandError::new(ErrorCode::Scenario, text).about(path)
     })?;
     // What was written is what was designed.

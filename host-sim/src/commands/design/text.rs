@@ -54,7 +54,7 @@ pub(super) fn of(scenario: &Scenario, designed: &Designed) -> String {
     if let (Some(error), true) = (designed.error, designed.state_deviation > 0.0) {
         text += &format!(
             "Confirming run: largest RMSE {}, {} % of the state's RMS distance from its mean, {}; {} broadcasts per agent \
-             and second, {} % of the steps\n\n",
+             per second, {} % of the steps\n\n",
             significant(error, 3),
             significant(100.0 * error / designed.state_deviation, 3),
             significant(designed.state_deviation, 3),

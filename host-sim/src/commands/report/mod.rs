@@ -44,8 +44,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// Returns the page about the results in `folder`; `command` returns the words of the command that a run was
-/// written by.
+/// Returns the page about the results in `folder`; `command` returns the arguments of the command that wrote
+/// a run.
 pub(super) fn of_folder(
     folder: &Path,
     command: impl FnOnce() -> Vec<String>,

@@ -219,7 +219,7 @@ impl ReportedRun {
     }
 }
 
-/// Returns a row for each method, the run itself first; none unless the run is compared with other methods
+/// Returns a row for each method, the run itself first; none unless the run is compared with methods other
 /// than its baselines.
 fn method_rows(
     scenario: &Scenario,

@@ -324,7 +324,7 @@ fn carry_out(arguments: &Arguments, path: &Path) -> Result<(), CommandError> {
                 text += &format!("{failed} failed; the first: {first}\n");
             }
             if before == study.runs {
-                text += "All runs had already been done\n";
+                text += "All runs were already complete\n";
             } else if before > 0 {
                 text += &format!(
                     "Continued after {before} of {}\n",

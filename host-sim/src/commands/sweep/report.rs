@@ -122,11 +122,11 @@ pub(super) fn outcome(
             format!("every run failed; the first: {reason}")
         }
         Some((_, reason)) if has_none => {
-            format!("every run failed; the first of this call: {reason}")
+            format!("every run failed; the first in this invocation: {reason}")
         }
         None if has_none => {
-            "every run failed, in an earlier call; `host-sim run` with the settings of a cell says \
-                             why"
+            "every run failed, in an earlier invocation; run `host-sim run` with the settings of one \
+             cell to see why"
             .to_owned()
         }
         _ => return Ok(()),

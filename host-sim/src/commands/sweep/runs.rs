@@ -62,7 +62,7 @@ pub(super) struct Outcome {
     pub(super) left: u64,
     /// Number of runs without a result.
     pub(super) failed: u64,
-    /// Number and reason of the first of them.
+    /// Number of the first failed run, and why it failed.
     pub(super) first_failure: Option<(u64, String)>,
     /// Time that threads spent in runs, added up.
     pub(super) in_runs: Duration,

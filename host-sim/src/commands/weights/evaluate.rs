@@ -87,8 +87,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
     let mut package = bytes.package();
     if package.known_inputs > 0 {
         let file = arguments.package.display();
-        let problem =
-            format!("{file}: the network takes known inputs, which samples in files do not have");
+        let problem = format!(
+            "{file}: the network takes known inputs, which are not read from sample files, so it cannot be \
+             evaluated on one; try it in a run with `host-sim run SCENARIO --weights PACKAGE`"
+        );
         return Err(CommandError::usage(problem).about(&arguments.package));
     }
     let recording = Recording::load(&arguments.samples, package.dimension(), package.features())?;

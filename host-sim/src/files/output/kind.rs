@@ -21,9 +21,9 @@ impl FileKind {
     /// A file that never replaces another.
     pub const NEW: Self = Self { name: "empty", recognises: |_| false };
 
-    /// A CSV file of this program, recognised by the name of its first column.
+    /// A CSV file written by this program, recognised by the name of its first column.
     pub const TABLE: Self = Self {
-        name: "a table of this program",
+        name: "a table written by this program",
         recognises: |bytes| {
             let line = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
             let columns = line.split(|&byte| byte == b',');

@@ -183,8 +183,8 @@ pub(super) fn applied(
     Some(Ok(document.to_string()))
 }
 
-/// Completes an error of the changed text: names the changes that can have caused it, and leaves out
-/// a line that the user's file does not have.
+/// Completes an error found in the changed text: names the changes that may have caused it, and drops
+/// the line number if the user's file has no such line.
 pub(super) fn blamed(
     mut error: ScenarioError,
     changes: &[Change],

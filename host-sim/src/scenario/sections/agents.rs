@@ -31,7 +31,7 @@ pub(in crate::scenario) fn agents(
 ) -> Result<Vec<Agent>, ScenarioError> {
     let tables = root.get_tables("agents")?;
     if tables.is_empty() {
-        return Err(root.missing("agents", "add a table [[agents]] for each agent"));
+        return Err(root.missing("agents", "add an [[agents]] table for each agent"));
     }
     let mut agents = Vec::new();
     for table in &tables {
@@ -110,7 +110,7 @@ fn measured(table: &Table<'_>, plant: &Plant, outputs: usize) -> Result<Vec<usiz
 /// `agents` is the number of agents.
 pub(in crate::scenario) fn graph(root: &Table<'_>, agents: usize) -> Result<Graph, ScenarioError> {
     if let (1, None) = (agents, root.get_table("graph")?) {
-        return Graph::new(1, &[]).map_err(|error| root.error(error, "add a table [graph]"));
+        return Graph::new(1, &[]).map_err(|error| root.error(error, "add a [graph] table"));
     }
     let table = root.require_table("graph")?;
     table.only(&["adjacency", "edges", "topology", "weight"])?;
@@ -248,6 +248,6 @@ fn graph_hint(error: &GraphError) -> String {
         GraphError::Disconnected { agent } => {
             format!("connect agent {} to the rest", agent + 1)
         }
-        _ => "add a table [graph]".to_owned(),
+        _ => "add a [graph] table".to_owned(),
     }
 }

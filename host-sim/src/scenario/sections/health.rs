@@ -31,7 +31,7 @@ pub(in crate::scenario) fn health(
 ) -> Result<Option<HealthSettings>, ScenarioError> {
     let Some(table) = root.get_table("health")? else { return Ok(None) };
     if !has_network {
-        let hint = "add a table [network], or remove this one";
+        let hint = "add a [network] table, or remove this one";
         return Err(table.error("there is no network to monitor", hint));
     }
     table.only(&[

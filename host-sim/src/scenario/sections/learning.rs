@@ -28,7 +28,7 @@ pub(in crate::scenario) fn cycles(
     let mut cycles: Vec<LearningCycle> = Vec::with_capacity(tables.len());
     for table in &tables {
         if !has_network {
-            let hint = "add a table [network], or remove this one";
+            let hint = "add a [network] table, or remove this one";
             return Err(table.error("there is no network to train", hint));
         }
         let cycle = cycle(table, time, agents, recipes)?;
@@ -85,7 +85,7 @@ fn cycle(
             Some(closest) => format!("did you mean \"{closest}\"?"),
             None => {
                 let known = recipes.iter().map(|known| format!("\"{}\", ", known.name));
-                format!("use {}or add a table [recipes.{recipe}]", known.collect::<String>())
+                format!("use {}or add a [recipes.{recipe}] table", known.collect::<String>())
             }
         };
         return Err(recipe_value.error(format_args!("unknown recipe `{recipe}`"), hint));
@@ -142,7 +142,7 @@ pub(in crate::scenario) fn relearning(
     let Some(table) = root.get_table("relearning")? else { return Ok(None) };
     table.only(&["rate", "window", "pause"])?;
     let Some(last) = last else {
-        let hint = "add a table [[learning]], which later cycles repeat, or remove this one";
+        let hint = "add a [[learning]] table for later cycles to repeat, or remove [relearning]";
         return Err(table.error("there is no learning cycle to repeat", hint));
     };
     let rate = table

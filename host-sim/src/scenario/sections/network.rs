@@ -23,7 +23,7 @@ pub(in crate::scenario) fn network(
         return match root.get_table("outer_law")? {
             Some(law) => Err(law.error(
                 "there is no network to adapt",
-                "add a table [network], or remove this one",
+                "add a [network] table, or remove this one",
             )),
             None => Ok(None),
         };

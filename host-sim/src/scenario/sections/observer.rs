@@ -196,7 +196,7 @@ pub(in crate::scenario) fn observer(
         Some(value) => {
             let network = value.boolean()?;
             if network && !has_network {
-                return Err(value.error("there is no network", "add a table [network]"));
+                return Err(value.error("there is no network", "add a [network] table"));
             }
             network
         }

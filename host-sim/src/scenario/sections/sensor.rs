@@ -98,7 +98,7 @@ pub(super) fn settings(
         Some(value) => {
             let limits = value.numbers_of(2, "the smallest and the largest value")?;
             if limits[0] >= limits[1] {
-                return Err(value.wrong("does not rise"));
+                return Err(value.wrong("its second value is not above the first"));
             }
             Some([limits[0], limits[1]])
         }
