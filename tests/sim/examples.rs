@@ -58,7 +58,8 @@ fn triggers_are_compared_by_errors_and_broadcasts() {
 
 #[test]
 fn random_geometries_keep_the_requested_error() {
-    for (plant, seed) in random_geometries::plants().iter().zip(1..) {
+    // Lorenz and the linear chain.
+    for (plant, seed) in random_geometries::plants().iter().step_by(3).zip(1..) {
         let found = random_geometries::geometry(plant, seed).unwrap();
         let found = found.map(|(knowledge, found)| {
             let (error, broadcasts) = found.unwrap_or_else(|| panic!("{}: refused", plant.name));
