@@ -1,22 +1,24 @@
-//! Runs the field observer on plants, graphs and output matrices that it was not tuned for: everything is derived
-//! from one requested error.
+//! Runs the field observer on five plants with random graphs, output matrices and disturbances. Its gains, radii and
+//! clips are derived from one requested error; networks and training are the same for all.
 //!
 //! ```sh
 //! cargo run --release -p host-sim --example random_geometries -- [GEOMETRIES]
 //! ```
 //!
-//! For each of five plants it draws connected graphs of 4 to 12 agents, each of which measures one or two random linear
-//! combinations of the state. Printed are, over all geometries, the worst agent's error in relation to the requested one and
-//! the broadcasts per agent per second: without a network, with one that the agents trained in the run, and with
-//! the plant's own `f`, which no agent knows.
+//! For each plant it draws connected graphs of 4 to 12 agents, each of which measures one or two random linear
+//! combinations of the state; plants with as many states get the same ones. It prints, over all geometries, the worst
+//! agent's error in relation to the requested one and the broadcasts per agent per second: without a network, with
+//! one for all agents that is trained in the run, and with the plant's own `f` in its place, to compare.
+//!
+//! The outer weights of networks are scaled by the plant's largest rate until samples end, which the simulator knows.
 
 use std::error::Error;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
-use std::ops::Range;
 
 use host_sim::engine::traces::Traces;
 use host_sim::engine::{RunError, RunOptions, Silent, run};
+use host_sim::flow::{PlanError, Trajectory, plant_course};
 use host_sim::scenario::Scenario;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -26,10 +28,11 @@ use rayon::prelude::*;
 const ERROR: f64 = 0.014;
 /// Features of the network.
 const FEATURES: usize = 12;
-/// Rows of the traces are so many steps apart.
+/// Steps between two rows of the traces.
 const STRIDE: u32 = 5;
 const STEP: f64 = 1e-3;
-/// When errors and broadcasts are evaluated. \[s\]
+/// When samples are taken, and when errors and broadcasts are evaluated. \[s\]
+const COLLECTED: [f64; 2] = [5.0, 15.0];
 const EVALUATED: [f64; 2] = [20.0, 30.0];
 
 type Failure = Box<dyn Error + Send + Sync>;
@@ -108,12 +111,12 @@ pub(crate) enum Knowledge {
     Nothing,
     /// They train one network for all on what they record in the run.
     Trained,
-    /// The plant's own `f` in place of a network.
+    /// They have the plant's own `f` in place of a network, to compare.
     Plant,
 }
 
-/// Returns the scenario of a plant with agents, graph, outputs and disturbance that `seed` draws. A network can
-/// represent rates up to `largest`, shape `[n]`.
+/// Returns the scenario of a plant with agents, graph, outputs and disturbance that `seed` draws. The outer
+/// weights are up to half of `largest`, shape `[n]`.
 fn scenario(
     plant: &Plant,
     seed: u64,
@@ -152,9 +155,9 @@ fn scenario(
         .collect();
     let bound = 2.0 * outer.iter().flatten().map(|weight| weight * weight).sum::<f64>().sqrt();
     let (method, learning) = match knowledge {
-        Knowledge::Nothing => ("observer", "network = false"),
-        Knowledge::Plant => ("known-f", "hold = \"model\""),
-        Knowledge::Trained => ("observer", LEARNING),
+        Knowledge::Nothing => ("observer", "network = false".to_owned()),
+        Knowledge::Plant => ("known-f", "hold = \"model\"".to_owned()),
+        Knowledge::Trained => ("observer", learning()),
     };
     let [from, to] = EVALUATED;
     let mut text = format!(
@@ -179,74 +182,81 @@ fn scenario(
     Ok(Scenario::parse("random geometry", &text)?)
 }
 
-/// One network for all, from the first half of the run.
-const LEARNING: &str = "hold = \"model\"\n\
-    [[learning]]\ncollect_from = 5.0\ncollect_to = 15.0\napply_at = 16.0\nrecipe = \"smoothed\"\nshared = true\n\
-    [recipes.smoothed]\nsmoothing_window = 0.05\ndecimation = 10\ninitial = { random = \"glorot\" }\nepochs = 80\n\
-    goal = 0.0";
+/// Returns the sections that train one network for all on the samples of the run.
+fn learning() -> String {
+    let [from, to] = COLLECTED;
+    format!(
+        "hold = \"model\"\n\
+         [[learning]]\ncollect_from = {from:?}\ncollect_to = {to:?}\napply_at = {:?}\nrecipe = \"smoothed\"\n\
+         shared = true\n\
+         [recipes.smoothed]\nsmoothing_window = 0.05\ndecimation = 10\ninitial = {{ random = \"glorot\" }}\n\
+         epochs = 80\ngoal = 0.0",
+        to + 1.0,
+    )
+}
 
-/// Returns the largest rates of the state, shape `[n]`. \[1/s\]
-fn largest_rates(traces: &Traces) -> Vec<f64> {
-    let between = f64::from(STRIDE) * STEP;
-    let rate = |row: usize, c: usize| (traces.truth(row + 1)[c] - traces.truth(row)[c]) / between;
-    let largest = |c| (1..traces.rows() - 1).map(|row| rate(row, c).abs()).fold(0.0, f64::max);
-    (0..traces.dimension()).map(largest).collect()
+/// Returns the largest rates of the state until samples end, shape `[n]`. \[state unit/s\]
+fn largest_rates(course: &Trajectory) -> Vec<f64> {
+    let last = (COLLECTED[1] / course.step) as usize;
+    let rate = |k: usize, c: usize| (course.state(k + 1)[c] - course.state(k)[c]) / course.step;
+    let largest = |c| (0..last).map(|k| rate(k, c).abs()).fold(0.0, f64::max);
+    (0..course.dimension).map(largest).collect()
 }
 
 /// Returns the worst agent's error in the evaluation window: the root mean square over time and components, each
-/// in standard deviations of the plant's over the whole run, which is what `observer.error` is a fraction of.
-fn worst_error(traces: &Traces) -> f64 {
-    let n = traces.dimension();
+/// in the plant's standard deviations over the whole run, which is what `observer.error` is a fraction of.
+fn worst_error(traces: &Traces, deviations: &[f64]) -> f64 {
     let start = traces.time().partition_point(|&time| time < EVALUATED[0]);
-    let mean = |rows: Range<usize>, value: &dyn Fn(usize) -> f64| {
-        let count = rows.len() as f64;
-        rows.map(value).sum::<f64>() / count
-    };
-    let variance = |c: usize| {
-        let middle = mean(0..traces.rows(), &|row| traces.truth(row)[c]);
-        mean(0..traces.rows(), &|row| (traces.truth(row)[c] - middle).powi(2))
-    };
-    let variances: Vec<f64> = (0..n).map(variance).collect();
-    let squared = |agent: usize| {
-        let of = |c: usize| {
-            let error = |row| f64::from(traces.estimate(row, agent)[c]) - traces.truth(row)[c];
-            mean(start..traces.rows(), &|row| error(row).powi(2)) / variances[c]
+    let count = ((traces.rows() - start) * deviations.len()) as f64;
+    let of = |agent: usize| {
+        let squared = |row: usize| {
+            let errors = traces.estimate(row, agent).iter().zip(traces.truth(row));
+            let scaled = errors.zip(deviations).map(|((&e, x), d)| (f64::from(e) - x) / d);
+            scaled.map(|error| error * error).sum::<f64>()
         };
-        (0..n).map(of).sum::<f64>() / n as f64
+        ((start..traces.rows()).map(squared).sum::<f64>() / count).sqrt()
     };
-    (0..traces.agents()).map(squared).fold(0.0, f64::max).sqrt()
+    (0..traces.agents()).map(of).fold(0.0, f64::max)
 }
 
-/// What one geometry gave: the worst agent's error in relation to the requested one, and broadcasts per agent per second.
-pub(crate) type Found = (f64, f64);
+/// What one geometry gave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Found {
+    /// No settings keep the requested error.
+    Refused,
+    /// The trained network explained too little, so agents went on without it.
+    NotSwitchedIn,
+    /// The worst agent's error in relation to the requested one, and broadcasts per agent per second.
+    Ran { error: f64, broadcasts: f64 },
+}
 
-/// Runs a geometry with each knowledge; `None` where the scenario is refused, because no settings keep the
-/// requested error.
+/// Runs the geometry that `seed` draws with each knowledge.
 ///
 /// # Errors
-/// A run fails for another reason.
-pub(crate) fn geometry(
-    plant: &Plant,
-    seed: u64,
-) -> Result<[(Knowledge, Option<Found>); 3], Failure> {
-    let mut largest = vec![1.0; plant.initial_state.len()];
-    let mut found = [Knowledge::Nothing, Knowledge::Trained, Knowledge::Plant].map(|k| (k, None));
-    for (knowledge, found) in &mut found {
-        let scenario = scenario(plant, seed, *knowledge, &largest)?;
-        let result =
-            match run(&scenario, RunOptions { seed, learning: true, bounds: false }, &Silent) {
-                Err(RunError::Observer(_)) => continue,
-                result => result?,
-            };
-        largest = largest_rates(&result.traces);
+/// A run fails for another reason than that it is refused.
+pub(crate) fn geometry(plant: &Plant, seed: u64) -> Result<[(Knowledge, Found); 3], Failure> {
+    let ones = vec![1.0; plant.initial_state.len()];
+    let course = plant_course(&scenario(plant, seed, Knowledge::Nothing, &ones)?)?;
+    let (largest, deviations) = (largest_rates(&course), course.deviation());
+    let one = |knowledge: Knowledge| -> Result<(Knowledge, Found), Failure> {
+        let scenario = scenario(plant, seed, knowledge, &largest)?;
+        let options = RunOptions { seed, learning: true, bounds: false };
+        let result = match run(&scenario, options, &Silent) {
+            Err(RunError::Observer(PlanError::Gate(_))) => return Ok((knowledge, Found::Refused)),
+            result => result?,
+        };
+        if !result.trainings.iter().all(|training| training.switched_in) {
+            return Ok((knowledge, Found::NotSwitchedIn));
+        }
         let broadcasts: u64 = result.agents.iter().map(|agent| agent.broadcasts_evaluated).sum();
         let seconds = (EVALUATED[1] - EVALUATED[0]) * result.agents.len() as f64;
-        *found = Some((worst_error(&result.traces) / ERROR, broadcasts as f64 / seconds));
-    }
-    Ok(found)
+        let error = worst_error(&result.traces, &deviations) / ERROR;
+        Ok((knowledge, Found::Ran { error, broadcasts: broadcasts as f64 / seconds }))
+    };
+    Ok([one(Knowledge::Nothing)?, one(Knowledge::Trained)?, one(Knowledge::Plant)?])
 }
 
-/// Returns the median and the largest of these numbers.
+/// Returns the median, of an even count the larger of both middle ones, and the largest of these numbers.
 fn median_and_largest(mut numbers: Vec<f64>) -> (f64, f64) {
     numbers.sort_by(f64::total_cmp);
     let at = |index: usize| numbers.get(index).copied().unwrap_or(f64::NAN);
@@ -254,25 +264,30 @@ fn median_and_largest(mut numbers: Vec<f64>) -> (f64, f64) {
 }
 
 fn main() -> Result<(), Failure> {
-    let count: u64 = std::env::args().nth(1).map_or(Ok(25), |count| count.parse())?;
+    let count = std::env::args().nth(1).map_or(Ok(25), |count| count.parse::<u64>())?.max(1);
     println!(
-        "plant      knows    refused  error/requested, median (worst)  broadcasts, median (worst) [1/s]"
+        "plant      knows    refused  not switched in  error/requested, median (worst)  \
+         broadcasts, median (worst) [1/s]"
     );
     for plant in plants() {
-        let runs: Vec<_> = (1..=count)
-            .into_par_iter()
-            .map(|seed| geometry(&plant, seed))
-            .collect::<Result<_, _>>()?;
-        for index in 0..3 {
-            let knowledge = runs[0][index].0;
-            let found: Vec<Found> = runs.iter().filter_map(|run| run[index].1).collect();
-            let (error, worst) = median_and_largest(found.iter().map(|run| run.0).collect());
-            let (often, most) = median_and_largest(found.iter().map(|run| run.1).collect());
+        let runs = (1..=count).into_par_iter().map(|seed| geometry(&plant, seed));
+        let runs: Vec<_> = runs.collect::<Result<_, _>>()?;
+        for (index, (knowledge, _)) in runs[0].iter().enumerate() {
+            let found = || runs.iter().map(|run| run[index].1);
+            let ran = |pick: fn(f64, f64) -> f64| {
+                let numbers = found().filter_map(|found| match found {
+                    Found::Ran { error, broadcasts } => Some(pick(error, broadcasts)),
+                    Found::Refused | Found::NotSwitchedIn => None,
+                });
+                median_and_largest(numbers.collect())
+            };
+            let ((error, worst), (often, most)) = (ran(|error, _| error), ran(|_, often| often));
             println!(
-                "{:9}  {:7}  {:7}  {error:23.2} ({worst:.2})  {often:25.1} ({most:.1})",
+                "{:9}  {:7}  {:7}  {:15}  {error:23.2} ({worst:.2})  {often:25.1} ({most:.1})",
                 plant.name,
                 format!("{knowledge:?}").to_lowercase(),
-                runs.len() - found.len(),
+                found().filter(|&found| found == Found::Refused).count(),
+                found().filter(|&found| found == Found::NotSwitchedIn).count(),
             );
         }
     }

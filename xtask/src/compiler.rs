@@ -21,7 +21,7 @@ use crate::{
 const PACKAGES: [&str; 4] = ["rustc-web", "cargo-web", "rust-web-src", "lld"];
 const RUSTC: &str = "/usr/bin/rustc";
 const CARGO: &str = "/usr/bin/cargo";
-/// Debian's clippy. Called by path, because cargo would find that of the active toolchain.
+/// Debian's clippy. Called by path, because the active toolchain has one, too.
 const CLIPPY: &str = "/usr/bin/clippy-driver";
 const CLIPPY_PACKAGE: &str = "rust-web-clippy";
 /// Debian's location of the libraries.
@@ -86,15 +86,23 @@ impl Compiler {
         &self,
         command: &'command mut Command,
     ) -> Result<&'command mut Command, Failure> {
-        let mut clippy = "clippy-driver";
+        let mut clippy = active_sysroot()?.join("bin/clippy-driver");
         if self.rustc.is_some() {
             // It reads the libraries' metadata, so both are of the same version.
             if packages::version(CLIPPY_PACKAGE) != packages::version(PACKAGES[0]) {
                 packages::install(&[CLIPPY_PACKAGE])?;
             }
-            clippy = CLIPPY;
+            clippy = PathBuf::from(CLIPPY);
             command.env("SYSROOT", sysroot_folder()).env_remove("LD_LIBRARY_PATH");
         }
+        if !clippy.is_file() {
+            return Err(Failure::new(
+                format!("{}: there is no clippy", clippy.display()),
+                "rustup component add clippy",
+            ));
+        }
+        // As `cargo clippy -- -D warnings` passes it, also to build scripts.
+        command.env("CLIPPY_ARGS", "-Dwarnings__CLIPPY_HACKERY__");
         Ok(self.apply(command.env("RUSTC_WORKSPACE_WRAPPER", clippy)))
     }
 }
@@ -145,6 +153,17 @@ fn active_rustc() -> Command {
 pub(crate) fn active_toolchain_has(target: &str) -> bool {
     ask(active_rustc().args(["--print", "target-libdir", "--target", target]))
         .is_some_and(|folder| library(Path::new(folder.trim()), "core").is_ok())
+}
+
+/// Returns the folder of the active toolchain.
+fn active_sysroot() -> Result<PathBuf, Failure> {
+    let folder = ask(active_rustc().args(["--print", "sysroot"]));
+    folder.map(|folder| PathBuf::from(folder.trim())).ok_or_else(|| {
+        Failure::new(
+            "rustc does not report its folder",
+            "check the output of `rustc --print sysroot`",
+        )
+    })
 }
 
 /// Returns the compiled library with that name in `folder`.

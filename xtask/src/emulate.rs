@@ -175,7 +175,10 @@ fn build(compiler: &Compiler, machine: &Machine) -> Result<PathBuf, Failure> {
         build.args(["--features", feature]);
     }
     if machine.swapped {
-        build.args(["--config", "profile.release.opt-level=3"]);
+        // The crates of others are those of the next machine.
+        for package in ["agent-core", "firmware-template", "on-target"] {
+            build.args(["--config", &format!("profile.release.package.{package}.opt-level=3")]);
+        }
         build.args(["--config", "profile.release.package.inner-network.opt-level=\"s\""]);
     }
     run(

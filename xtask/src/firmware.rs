@@ -144,9 +144,8 @@ pub(crate) fn lint(debian: bool) -> Result<(), Failure> {
             let mut clippy = cargo_in(&board.folder, "rustc");
             clippy.args(["--quiet", "--release"]);
             let name = variant.apply(&mut clippy, board);
-            // Only for its lints: clippy's code is not that of the firmware.
-            clippy.args(["--", "-Dwarnings", "-Copt-level=0", "-Cdebuginfo=0"]);
-            clippy.args(["-Clto=off", "-Clinker=true"]);
+            // Only for its lints: clippy's code is not that of the firmware, and is not linked.
+            clippy.args(["--", "-Copt-level=0", "-Cdebuginfo=0", "-Clto=off", "-Clinker=true"]);
             run(
                 &format!("clippy on {name}"),
                 compiler.apply_clippy(&mut clippy)?,

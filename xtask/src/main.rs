@@ -84,8 +84,8 @@ Tasks:
   lint    check module cycles, files that are not compiled, features of dependencies that would be built
           twice, formatting, clippy and documentation, and at the same time `lint-nodes`;
           warnings are errors
-  lint-nodes  check formatting and clippy's lints of the fuzz targets, and clippy's lints of the boards
-          whose firmware CI runs
+  lint-nodes  check formatting and clippy's lints of the fuzz targets, and clippy's lints of the boards,
+          whose dependencies are built as for their firmware
   fuzz    run each fuzz target in fuzz/fuzz_targets, or those named, for N seconds (default 10)
           from its corpus in fuzz/corpus; a finding is a failure. `--seconds 1800` is the
           long run. Additions to a corpus are kept in target/fuzz/corpus for later runs.

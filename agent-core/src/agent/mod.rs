@@ -376,7 +376,8 @@ where
         Ok(StepOutput { broadcast: self.broadcast_if_due(params, tick + 1, &hold_error), sample })
     }
 
-    /// Samples the estimate and returns it as a frame if the trigger fires at `tick`.
+    /// Samples the estimate and returns it as a frame if the trigger fires at `tick`. The hold error is that of
+    /// the new estimate, passed because reading it back right after it was stored would stall.
     #[inline]
     fn broadcast_if_due(
         &mut self,

@@ -58,7 +58,7 @@ impl TrainingSummary {
     }
 }
 
-/// Summarises all training runs of a run.
+/// Summarises all trainings of a run.
 pub(super) fn summaries(records: &[TrainingRecord]) -> Vec<TrainingSummary> {
     records.iter().map(TrainingSummary::new).collect()
 }

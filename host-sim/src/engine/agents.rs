@@ -303,6 +303,7 @@ impl<'s, const N: usize> SimulatedAgent<'s, N> {
         let mut bounds = Norms::default();
         let mut refused = 0;
         let is_measured = self.is_measured;
+        // By reference: moving a whole step takes as long as a broadcast.
         let mut report = |frame: Option<&Frame<N>>, sample: Option<&Sample<N>>| {
             self.outgoing = frame.copied().map(encoded);
             // Without a measurement the estimate says nothing new about the plant.

@@ -31,7 +31,7 @@ impl<const N: usize> Sent<N> {
         // In place: there is room for far longer frames, which need not be copied.
         sent.clear();
         let _ = sent.extend_from_slice(bytes);
-        // The numbers of an announcement may be rounded in its bytes.
+        // The numbers of a field announcement may be rounded in its bytes.
         *kept = match frame.announced {
             None => Some(*frame),
             Some(_) => Frame::decode(bytes).ok(),

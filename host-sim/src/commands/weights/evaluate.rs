@@ -89,7 +89,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), CommandError> {
         let file = arguments.package.display();
         let problem = format!(
             "{file}: the network takes known inputs, which are not read from sample files, so it cannot be \
-             evaluated on one; try it in a run with `host-sim run SCENARIO --weights PACKAGE`"
+             evaluated on them; try it in a run with `host-sim run SCENARIO --weights PACKAGE`"
         );
         return Err(CommandError::usage(problem).about(&arguments.package));
     }

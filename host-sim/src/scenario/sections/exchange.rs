@@ -26,7 +26,7 @@ pub(in crate::scenario) fn exchange(
             let ages = value.list("use a time >= 0")?;
             let [from, to] = [in_steps(&ages[0], time)?, in_steps(&ages[1], time)?];
             if from > to || to == 0 {
-                return Err(value.wrong("must not decrease, and must end above 0"));
+                return Err(value.wrong("decreases, or ends at 0"));
             }
             [from, to]
         }
