@@ -227,6 +227,7 @@ fn every_form_keeps_its_errors_with_its_broadcasts() {
         let broadcasts: u64 = result.agents.iter().map(|agent| agent.broadcasts_evaluated).sum();
         println!("{name}: {broadcasts} {found:?}");
         assert!(broadcasts <= most, "{name}: {broadcasts}");
+        assert_eq!(found.len(), errors.len(), "{name}");
         assert!(found.iter().zip(errors).all(|(e, most)| e <= most), "{name}: {found:?}");
         // What the paper's observer broadcast is not what a package for the field observer promises.
         let from = scenario.observer.as_ref().map(|observer| observer.from);
