@@ -50,7 +50,8 @@ pub struct ExchangeParams {
     pub heartbeat: u32,
     /// Shortest time between two broadcasts.
     pub gap: u32,
-    /// Time after which the broadcast of an event is repeated.
+    /// Time after which the broadcast of an event is repeated, and the shortest between answers to neighbours
+    /// that lack a sample of the field observer.
     pub repeat: u32,
     /// Age of a sample up to which it has its full weight.
     pub fade_from: u32,
@@ -228,6 +229,12 @@ impl<const N: usize> Exchange<N> {
             self.repeat_at = 0;
         }
         event || repeats || beats
+    }
+
+    /// Repeats the agent's sample at `tick`, or as soon as the gap allows.
+    #[cfg(feature = "field")]
+    pub(crate) fn repeat_at(&mut self, tick: Tick) {
+        self.repeat_at = tick;
     }
 
     /// Takes the derivative of a step into the mean velocity.

@@ -5,6 +5,9 @@
 //! agent has moved away from its sample by the radius. A relay announces what it holds of its parent,
 //! so that errors do not add up along a path; it sees the parent's sample one step later.
 //!
+//! An agent that repeats its events over links that fail also repeats what a neighbour turns out not to
+//! have received ([`echo`]).
+//!
 //! All ends of an edge extrapolate a sample by the same operations, so they hold the same bits as long as
 //! no frame is lost or late. Where the predictions of two agents differ, by their digests, the sender
 //! announces rates instead.
@@ -13,6 +16,8 @@
 //!
 //! Memory: [`FieldParams`], 16 bytes for each direction and `4 N FEATURES` for outer weights. Cost:
 //! that of the paper's step, and with a model hold one evaluation of the network for each held sample.
+
+mod echo;
 
 use crate::StateVector;
 use crate::Tick;
@@ -295,6 +300,8 @@ where
             }
         });
 
+        let is_missing = echo::is_missing(own, &params.exchange, &self.own_hold, holds, tick);
+
         // Innovations and corrections, in the coordinates `xi`.
         let estimate = self.estimate;
         let (mut innovation, mut correction) = (zeros::<N>(), zeros::<N>());
@@ -427,6 +434,9 @@ where
                 && (announced.hold != HoldKind::Model || prediction.is_shared(holds))
         });
         let must = *must_announce || !is_followed;
+        if own.options.coupling == Coupling::Trees && is_missing {
+            self.exchange.repeat_at(now);
+        }
         if !self.exchange.is_due(&params.exchange, event, now, held) && !must {
             return Ok(StepOutput { broadcast: None, sample });
         }

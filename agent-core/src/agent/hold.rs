@@ -191,6 +191,13 @@ impl<const N: usize> Hold<N> {
         &mut self.announced
     }
 
+    /// Returns whether the sample arrived at the agent's step `now`.
+    #[cfg(feature = "field")]
+    #[inline]
+    pub(crate) fn is_new_at(&self, now: Tick) -> bool {
+        self.taken_over == now
+    }
+
     /// Returns the steps by which the sample has to advance to belong to `now`: its time in transit, and
     /// the ticks that its holder has skipped.
     #[cfg(feature = "field")]

@@ -1,6 +1,8 @@
 //! Tests of the step with the field observer: three agents on a star, each measuring one component.
 //! Agent 1, in the middle, is the root of direction 0 and relays 1 and 2.
 
+mod echo;
+
 extern crate std;
 
 use core::num::NonZeroU32;

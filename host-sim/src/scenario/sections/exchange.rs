@@ -54,7 +54,7 @@ pub(in crate::scenario) fn robust(time: &Time, delay: f64) -> ExchangeParams {
     ExchangeParams {
         heartbeat: steps(0.2),
         gap: steps(0.01),
-        repeat: steps(0.03),
+        repeat: steps(0.04),
         delay: steps(delay),
         ..ExchangeParams::PAPER
     }
