@@ -300,8 +300,6 @@ where
             }
         });
 
-        let is_missing = echo::is_missing(own, &params.exchange, &self.own_hold, holds, tick);
-
         // Innovations and corrections, in the coordinates `xi`.
         let estimate = self.estimate;
         let (mut innovation, mut correction) = (zeros::<N>(), zeros::<N>());
@@ -420,9 +418,14 @@ where
         let now = tick + 1;
         let held = self.own_hold.age(now);
         let event = match own.options.coupling {
-            Coupling::Trees => own.directions.iter().enumerate().any(|(c, direction)| {
-                direction.is_announced && is_due(own, c, &self.own_hold, &next, holds, now)
-            }),
+            Coupling::Trees => {
+                if params.exchange.repeat > 0
+                    && echo::is_missing(own, &params.exchange, &self.own_hold, holds, tick)
+                {
+                    self.exchange.repeat_at(now);
+                }
+                is_due(own, &self.own_hold, &next, holds, now)
+            }
             _ => {
                 let hold_error = difference(self.own_hold.estimate(), &next);
                 params.trigger.fires(held, &hold_error, &self.consensus_term)
@@ -434,9 +437,6 @@ where
                 && (announced.hold != HoldKind::Model || prediction.is_shared(holds))
         });
         let must = *must_announce || !is_followed;
-        if own.options.coupling == Coupling::Trees && is_missing {
-            self.exchange.repeat_at(now);
-        }
         if !self.exchange.is_due(&params.exchange, event, now, held) && !must {
             return Ok(StepOutput { broadcast: None, sample });
         }
@@ -449,28 +449,30 @@ where
     }
 }
 
-/// Whether direction `c` of the agent's sample has to be announced again.
+/// Whether a direction of the agent's sample has to be announced again.
 #[inline(never)]
 fn is_due<const N: usize>(
     own: &FieldParams<N>,
-    c: usize,
     sample: &Hold<N>,
     estimate: &StateVector<N>,
     holds: &[Option<Hold<N>>],
     now: Tick,
 ) -> bool {
-    let Some(direction) = own.directions.get(c) else { return false };
-    let followed = match direction.output {
-        Some(_) => None,
-        None => followed(direction, own.options.timeout, holds, now),
-    };
-    let (state, radius) = match followed {
-        Some(hold) => (hold.estimate(), own.options.relay_share * direction.radius),
-        None => (estimate, direction.radius),
-    };
-    let error = difference(state, sample.estimate());
-    let error = own.coordinate(c, &error);
-    error >= radius || error <= -radius
+    own.directions.iter().enumerate().filter(|(_, direction)| direction.is_announced).any(
+        |(c, direction)| {
+            let followed = match direction.output {
+                Some(_) => None,
+                None => followed(direction, own.options.timeout, holds, now),
+            };
+            let (state, radius) = match followed {
+                Some(hold) => (hold.estimate(), own.options.relay_share * direction.radius),
+                None => (estimate, direction.radius),
+            };
+            let error = difference(state, sample.estimate());
+            let error = own.coordinate(c, &error);
+            error >= radius || error <= -radius
+        },
+    )
 }
 
 /// Returns what the agent announces at `now`, and the sample with it.

@@ -23,8 +23,8 @@ use crate::observer::field::{Direction, FieldParams};
 /// Share of the radius by which a neighbour may be off.
 const SHARE: f32 = 0.5;
 
-/// Returns whether a frame that arrived at `tick` shows that its sender lacks the sample `own`; both are
-/// those of `tick`.
+/// Returns whether a frame that arrived at `tick` shows that its sender lacks the sample `own`; all samples
+/// have advanced to the next tick.
 #[inline(never)]
 pub(super) fn is_missing<const N: usize>(
     field: &FieldParams<N>,
@@ -34,7 +34,7 @@ pub(super) fn is_missing<const N: usize>(
     tick: Tick,
 ) -> bool {
     let since = own.age(tick);
-    if exchange.repeat == 0 || since < Tick::from(exchange.repeat) {
+    if since < Tick::from(exchange.repeat) {
         return false;
     }
     holds.iter().enumerate().any(|(place, hold)| {
