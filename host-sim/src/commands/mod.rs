@@ -39,6 +39,7 @@ mod package_format;
 mod progress;
 #[cfg(unix)]
 mod push;
+mod radio;
 mod report;
 mod reproduce;
 mod run;

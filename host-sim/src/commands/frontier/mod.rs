@@ -2,7 +2,6 @@
 
 mod forms;
 mod points;
-mod radio;
 mod summary;
 
 use std::path::{Path, PathBuf};

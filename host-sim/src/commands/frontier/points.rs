@@ -11,11 +11,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::forms::{Form, Level, Variant};
-use super::radio::Frames;
 use crate::commands::SharedProgress;
 use crate::commands::certified;
 use crate::commands::initial_states::begun_in;
 use crate::commands::progress::ProgressBars;
+use crate::commands::radio::Frames;
 use crate::engine::{Progress, RunOptions, run};
 use crate::files::output::OutputError;
 use crate::interruption;

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::forms::{Form, Level, Variant};
 use super::points::Point;
-use super::radio::{Cost, Frames, RADIOS, cost};
+use crate::commands::radio::{self, Cost, RADIOS, days};
 use crate::commands::seeds::Spread;
 use crate::graph::Graph;
 use crate::number::significant;
@@ -72,18 +72,8 @@ impl<'p> Setting<'p> {
     fn costs(&self, graph: &Graph, window: f64) -> Vec<Cost> {
         let mut costs: Vec<Vec<Cost>> = RADIOS.iter().map(|_| Vec::new()).collect();
         for point in self.points {
-            let heard = |agent: usize| {
-                let neighbours =
-                    graph.neighbours(agent).iter().map(|edge| point.frames[edge.agent]);
-                neighbours.fold(Frames::default(), |sum, frames| Frames {
-                    count: sum.count + frames.count,
-                    bytes: sum.bytes + frames.bytes,
-                })
-            };
-            let nodes: Vec<_> =
-                point.frames.iter().enumerate().map(|(i, &sent)| [sent, heard(i)]).collect();
-            for (radio, costs) in RADIOS.iter().zip(&mut costs) {
-                costs.push(cost(radio, &nodes, window));
+            for (costs, cost) in costs.iter_mut().zip(radio::costs(graph, &point.frames, window)) {
+                costs.push(cost);
             }
         }
         let median = |mut costs: Vec<Cost>| {
@@ -252,7 +242,6 @@ pub(super) fn radio_table(best: &[Best]) -> Table {
         headings.extend(["air [%]", "CR2032 [d]", "2 AA [d]"].map(|name| [radio.name, name]));
     }
     let row = |best: &Best| {
-        let days = |days: Option<f64>| days.map_or("-".to_owned(), |days| significant(days, 3));
         let mut row = vec![best.form.name().to_owned()];
         for cost in &best.radio {
             row.push(significant(100.0 * cost.channel_share, 2));

@@ -70,7 +70,10 @@ fn point(form: Form, broadcasts: u64, rmse: f64) -> Point {
         certified: true,
         bound: Some(1.0),
         failure: None,
-        frames: vec![radio::Frames { count: broadcasts, bytes: 50 * broadcasts }; 3],
+        frames: vec![
+            crate::commands::radio::Frames { count: broadcasts, bytes: 50 * broadcasts };
+            3
+        ],
     }
 }
 

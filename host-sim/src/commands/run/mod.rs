@@ -17,7 +17,7 @@ use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
 use super::scenario_source::load_with_text;
 use super::{
-    Changes, CommandError, Common, ProgressBars, TableFormat, agent_table, health, methods,
+    Changes, CommandError, Common, ProgressBars, TableFormat, agent_table, health, methods, radio,
     trainings, warnings,
 };
 use super::{print_outcome, print_text};
@@ -145,6 +145,9 @@ fn text_of(run: &ReportedRun) -> String {
     text += &agent_table::text(scenario, &run.agents, &run.baselines, run.name());
     text += run.baselines.note();
     text += &agent_table::traffic(&run.result, &run.agents);
+    if run.agents.iter().any(|agent| agent.broadcasts_evaluated > 0) {
+        text += &radio::text(&run.radio);
+    }
     if !run.rows.is_empty() {
         text += &methods::text(&run.rows);
     }

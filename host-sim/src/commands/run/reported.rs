@@ -11,6 +11,7 @@ use crate::commands::baselines::{
 };
 use crate::commands::health::HealthReport;
 use crate::commands::observer_certificate::ObserverCertificate;
+use crate::commands::radio::{self, Frames};
 use crate::commands::trainings::{self, TrainingSummary};
 use crate::commands::{CommandError, SharedProgress, methods, warnings};
 use crate::engine::link::LayerCount;
@@ -78,6 +79,7 @@ impl PreparedRun {
         let others = rows.iter().filter(|row| !own.contains(&row.method));
         warnings.extend(others.filter_map(methods::Row::warning));
         let agents = agent_reports(&scenario, &result, &baselines);
+        let radio = radio_costs(&scenario, &result);
         let certificate = ObserverCertificate::new(&scenario, &result.trainings);
         let trainings = trainings::summaries(&result.trainings);
         Ok(ReportedRun {
@@ -88,6 +90,7 @@ impl PreparedRun {
             rows,
             agents,
             trainings,
+            radio,
             checks,
             certificate,
             warnings,
@@ -107,6 +110,7 @@ pub struct ReportedRun {
     pub(super) rows: Vec<methods::Row>,
     pub(super) agents: Vec<AgentReport>,
     pub(super) trainings: Vec<TrainingSummary>,
+    pub(super) radio: Vec<radio::Cost>,
     pub(super) checks: Checks,
     pub(super) certificate: Option<ObserverCertificate>,
     warnings: Vec<Warning>,
@@ -131,6 +135,8 @@ struct Report<'a> {
     trainings: &'a [TrainingSummary],
     /// What each layer of the link did; empty for the paper's link.
     link: &'a [LayerCount],
+    /// What broadcasts in the evaluation window cost on real radios.
+    radio: &'a [radio::Cost],
     checks: ChecksReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     observer: Option<&'a ObserverCertificate>,
@@ -188,6 +194,7 @@ impl ReportedRun {
             agents: &self.agents,
             trainings: &self.trainings,
             link: &self.result.layers,
+            radio: &self.radio,
             checks: ChecksReport::new(&self.checks),
             observer: self.certificate.as_ref(),
             warnings: &self.warnings,
@@ -268,6 +275,16 @@ fn simulate(
         },
     );
     Ok((result?, baselines, others))
+}
+
+fn radio_costs(scenario: &Scenario, result: &RunResult) -> Vec<radio::Cost> {
+    let sent: Vec<_> = result
+        .agents
+        .iter()
+        .map(|agent| Frames { count: agent.broadcasts_evaluated, bytes: agent.bytes_evaluated })
+        .collect();
+    let window = &scenario.evaluation;
+    radio::costs(&scenario.graph, &sent, window.to - window.from)
 }
 
 fn agent_reports(

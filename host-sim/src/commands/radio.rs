@@ -12,6 +12,10 @@
 
 use serde::Serialize;
 
+use crate::graph::Graph;
+use crate::number::significant;
+use crate::report::columns::Table;
+
 /// A radio at one setting.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Radio {
@@ -61,7 +65,7 @@ const DAY: f64 = 86_400.0;
 
 impl Radio {
     /// Returns the time on air of a frame of this many bytes. \[s\]
-    pub(super) fn airtime(&self, bytes: f64) -> f64 {
+    fn airtime(&self, bytes: f64) -> f64 {
         let split = |payload: f64, most: f64, one: &dyn Fn(f64) -> f64| {
             let parts = (payload / most).ceil().max(1.0);
             parts * one(payload / parts)
@@ -99,7 +103,7 @@ pub(super) struct Cost {
 }
 
 /// Returns the cost on a radio of what each node sends and hears within `window` \[s\].
-pub(super) fn cost(radio: &Radio, nodes: &[[Frames; 2]], window: f64) -> Cost {
+fn cost(radio: &Radio, nodes: &[[Frames; 2]], window: f64) -> Cost {
     let airtime = |frames: Frames| match frames.count {
         0 => 0.0,
         count => count as f64 * radio.airtime(frames.bytes as f64 / count as f64),
@@ -125,6 +129,54 @@ pub(super) fn cost(radio: &Radio, nodes: &[[Frames; 2]], window: f64) -> Cost {
     }
 }
 
+/// Returns the cost on each of [`RADIOS`] of what the agents send within `window` \[s\].
+pub(super) fn costs(graph: &Graph, sent: &[Frames], window: f64) -> Vec<Cost> {
+    let heard = |agent: usize| {
+        let neighbours = graph.neighbours(agent).iter().filter_map(|edge| sent.get(edge.agent));
+        neighbours.fold(Frames::default(), |sum, frames| Frames {
+            count: sum.count + frames.count,
+            bytes: sum.bytes + frames.bytes,
+        })
+    };
+    let nodes: Vec<_> = sent.iter().enumerate().map(|(i, &sent)| [sent, heard(i)]).collect();
+    RADIOS.iter().map(|radio| cost(radio, &nodes, window)).collect()
+}
+
+/// Returns the days for which a battery lasts, in words; - if the channel is too slow.
+pub(super) fn days(days: Option<f64>) -> String {
+    days.map_or("-".to_owned(), |days| significant(days, 3))
+}
+
+/// Returns the costs of one run as text.
+pub(super) fn text(costs: &[Cost]) -> String {
+    let headings = [
+        ["", "radio"],
+        ["channel", "in use [%]"],
+        ["charge [mC]", "to send"],
+        ["charge [mC]", "to hear"],
+        ["battery [d]", "CR2032"],
+        ["battery [d]", "2 AA"],
+        ["battery [d]", "2 AA, listening"],
+    ];
+    let row = |cost: &Cost| {
+        vec![
+            cost.radio.to_owned(),
+            significant(100.0 * cost.channel_share, 2),
+            significant(cost.charge_transmitted_mc, 3),
+            significant(cost.charge_received_mc, 3),
+            days(cost.life_cr2032_days),
+            days(cost.life_2_aa_days),
+            days(cost.life_2_aa_listening_days),
+        ]
+    };
+    format!(
+        "Radio of the busiest node in the evaluation window: how long its battery lasts if it powers nothing but \
+         sending\nits frames and hearing those of its neighbours, or listening all the time; - if the channel is \
+         too slow\n\n{}\n",
+        Table::new(&headings, costs.iter().map(row).collect()).text()
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -137,6 +189,21 @@ mod tests {
         assert!((nordic.airtime(232.0) - 8.512e-3).abs() < 1e-9);
         // What the manufacturer's calculator says for 10 bytes.
         assert!((lora.airtime(10.0) - 41.216e-3).abs() < 1e-6, "{}", lora.airtime(10.0));
+    }
+
+    #[test]
+    fn an_agent_hears_its_neighbours_only() {
+        use crate::graph::Edge;
+        let edge = |second| Edge { first: 0, second, weight: 1.0 };
+        let graph = Graph::new(3, &[edge(1), edge(2)]).unwrap();
+        let frames = |count| Frames { count, bytes: 50 * count };
+        let found = costs(&graph, &[frames(1), frames(20), frames(30)], 20.0);
+        assert_eq!(found.len(), RADIOS.len());
+        // The centre hears 50 frames of 67 bytes and sends one; the others send up to 30 and hear one.
+        let airtime = 67.0 * 32e-6;
+        assert!((found[0].charge_received_mc - 50.0 * airtime * 4.6).abs() < 1e-9);
+        assert!((found[0].charge_transmitted_mc - airtime * 4.8).abs() < 1e-9);
+        assert!(text(&found).contains("nRF52840, 0 dBm, 802.15.4"));
     }
 
     #[test]
