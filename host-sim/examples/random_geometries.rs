@@ -111,17 +111,46 @@ pub(crate) enum Knowledge {
     Nothing,
     /// They train one network for all on what they record in the run.
     Trained,
+    /// They have `1.05 f` and a bias in place of a network, to compare. The bias is a wave over the state, with an
+    /// amplitude of 5 % of the state's standard deviation, per second.
+    Nearly,
     /// They have the plant's own `f` in place of a network, to compare.
     Plant,
 }
 
+/// What a plant's motion is like, in each component, shape `[n]`.
+struct Scales {
+    /// Largest rates until samples end. \[state unit/s\]
+    rates: Vec<f64>,
+    /// Standard deviations. \[state unit\]
+    deviations: Vec<f64>,
+}
+
+/// Returns the plant with a derivative that is off by 5 %, and for each component what a disturbance has to
+/// add to make up for it.
+fn off_by_some(plant: &Plant, seed: u64, deviations: &[f64]) -> (Vec<String>, Vec<String>) {
+    // Geometry and disturbance stay those of the seed.
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(1);
+    let terms = plant.derivative.iter().enumerate().map(|(c, rate)| {
+        let mut wave = format!("{:?}", 0.3 * c as f64);
+        for (state, deviation) in (1..).zip(deviations) {
+            let number = random.random_range(-1.7..1.7) / deviation;
+            let _ = write!(wave, " + {number:?}*s{state}");
+        }
+        let bias = format!("{:?}*sin({wave})", 0.05 * deviations[c]);
+        (format!("1.05*({rate}) + {bias}"), format!(" - 0.05*({rate}) - {bias}"))
+    });
+    terms.unzip()
+}
+
 /// Returns the scenario of a plant with agents, graph, outputs and disturbance that `seed` draws. The outer
-/// weights are up to half of `largest`, shape `[n]`.
+/// weights are up to half of the largest rates.
 fn scenario(
     plant: &Plant,
     seed: u64,
     knowledge: Knowledge,
-    largest: &[f64],
+    scales: &Scales,
 ) -> Result<Scenario, Failure> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let n = plant.initial_state.len();
@@ -130,7 +159,13 @@ fn scenario(
         let (frequency, phase) = (random.random_range(1.0..4.0), random.random_range(0.0..TAU));
         format!("{amplitude:?}*sin({frequency:?}*t + {phase:?})")
     };
-    let components: Vec<String> = plant.amplitudes.iter().map(&mut wave).collect();
+    let mut components: Vec<String> = plant.amplitudes.iter().map(&mut wave).collect();
+    let mut derivative = plant.derivative.clone();
+    if knowledge == Knowledge::Nearly {
+        let corrections;
+        (derivative, corrections) = off_by_some(plant, seed, &scales.deviations);
+        components.iter_mut().zip(corrections).for_each(|(wave, correction)| *wave += &correction);
+    }
     // Together, the agents see the whole state.
     let rows = loop {
         let agents = random.random_range(4..=12);
@@ -151,12 +186,14 @@ fn scenario(
     let layer = |nodes: usize| format!("{{ nodes = {nodes}, activation = \"tanh\" }}");
     let layers = [layer(12), layer(12), layer(FEATURES)].join(", ");
     let outer: Vec<Vec<f64>> = (0..FEATURES)
-        .map(|_| largest.iter().map(|largest| largest * random.random_range(-0.5..0.5)).collect())
+        .map(|_| {
+            scales.rates.iter().map(|largest| largest * random.random_range(-0.5..0.5)).collect()
+        })
         .collect();
     let bound = 2.0 * outer.iter().flatten().map(|weight| weight * weight).sum::<f64>().sqrt();
     let (method, learning) = match knowledge {
         Knowledge::Nothing => ("observer", "network = false".to_owned()),
-        Knowledge::Plant => ("known-f", "hold = \"model\"".to_owned()),
+        Knowledge::Nearly | Knowledge::Plant => ("known-f", "hold = \"model\"".to_owned()),
         Knowledge::Trained => ("observer", learning()),
     };
     let [from, to] = EVALUATED;
@@ -172,7 +209,7 @@ fn scenario(
          [network]\nlayers = [{layers}]\ninner = {{ random = \"glorot\" }}\nouter = {outer:?}\n\
          [outer_law]\ngain = 1.0\nbound = {bound:?}\n\
          [observer]\npreset = \"field\"\nerror = {ERROR:?}\n{learning}\n",
-        plant.derivative, plant.initial_state,
+        derivative, plant.initial_state,
     );
     for rows in rows {
         let mut row = || (0..n).map(|_| random.random_range(-1.0..1.0)).collect::<Vec<f64>>();
@@ -234,12 +271,13 @@ pub(crate) enum Found {
 ///
 /// # Errors
 /// A run fails for another reason than that it is refused.
-pub(crate) fn geometry(plant: &Plant, seed: u64) -> Result<[(Knowledge, Found); 3], Failure> {
+pub(crate) fn geometry(plant: &Plant, seed: u64) -> Result<[(Knowledge, Found); 4], Failure> {
     let ones = vec![1.0; plant.initial_state.len()];
-    let course = plant_course(&scenario(plant, seed, Knowledge::Nothing, &ones)?)?;
-    let (largest, deviations) = (largest_rates(&course), course.deviation());
+    let unknown = Scales { rates: ones.clone(), deviations: ones };
+    let course = plant_course(&scenario(plant, seed, Knowledge::Nothing, &unknown)?)?;
+    let scales = Scales { rates: largest_rates(&course), deviations: course.deviation() };
     let one = |knowledge: Knowledge| -> Result<(Knowledge, Found), Failure> {
-        let scenario = scenario(plant, seed, knowledge, &largest)?;
+        let scenario = scenario(plant, seed, knowledge, &scales)?;
         let options = RunOptions { seed, learning: true, bounds: false };
         let result = match run(&scenario, options, &Silent) {
             Err(RunError::Observer(PlanError::Gate(_))) => return Ok((knowledge, Found::Refused)),
@@ -250,10 +288,11 @@ pub(crate) fn geometry(plant: &Plant, seed: u64) -> Result<[(Knowledge, Found); 
         }
         let broadcasts: u64 = result.agents.iter().map(|agent| agent.broadcasts_evaluated).sum();
         let seconds = (EVALUATED[1] - EVALUATED[0]) * result.agents.len() as f64;
-        let error = worst_error(&result.traces, &deviations) / ERROR;
+        let error = worst_error(&result.traces, &scales.deviations) / ERROR;
         Ok((knowledge, Found::Ran { error, broadcasts: broadcasts as f64 / seconds }))
     };
-    Ok([one(Knowledge::Nothing)?, one(Knowledge::Trained)?, one(Knowledge::Plant)?])
+    let [nothing, trained] = [one(Knowledge::Nothing)?, one(Knowledge::Trained)?];
+    Ok([nothing, trained, one(Knowledge::Nearly)?, one(Knowledge::Plant)?])
 }
 
 /// Returns the median, of an even count the larger of both middle ones, and the largest of these numbers.
