@@ -278,6 +278,7 @@ fn run_in_json_is_one_object() {
         "agents",
         "trainings",
         "link",
+        "radio",
         "methods",
         "checks",
         "warnings",
