@@ -135,18 +135,24 @@ impl<'s> Plan<'s> {
         Ok(draft.seal()?)
     }
 
-    /// Returns the harmonic in each direction, found in the recording of an agent that measures it; none
-    /// unless the scenario leaves the frequencies open.
+    /// Returns the harmonic in each direction, from the recording of an agent that measures it: of the frequency
+    /// that the scenario gives, or one that is found. None unless disturbances are modelled as harmonic.
     #[must_use]
     pub fn harmonics(&self, agents: &[usize], recordings: &[Recording]) -> Vec<Option<Harmonic>> {
-        let DisturbanceModel::Harmonic { frequencies: None, .. } = self.observer.disturbance else {
+        let DisturbanceModel::Harmonic { frequencies, .. } = &self.observer.disturbance else {
             return Vec::new();
         };
         (0..self.scenario.dimension())
             .map(|c| {
                 let root = agents.iter().position(|&i| self.geometry.roots[i][c].is_some())?;
                 let row: Vec<f64> = self.geometry.transform.row(c).iter().copied().collect();
-                Harmonic::find(&recordings[root], &row)
+                match frequencies {
+                    None => Harmonic::find(&recordings[root], &row),
+                    Some(given) if given[c] > 0.0 => {
+                        Harmonic::of_frequency(&recordings[root], &row, given[c])
+                    }
+                    Some(_) => None,
+                }
             })
             .collect()
     }

@@ -77,19 +77,16 @@ impl Harmonic {
         if (of_first - of_second).abs() > AGREEMENT {
             return None;
         }
-        let frequency = 0.5 * (of_first + of_second);
-        let (smooth, fit) = (averages.rest(None)?, averages.rest(Some(frequency))?);
-        // Averages shrink the harmonic.
-        let half = 0.5 * frequency * WINDOW;
-        let shrunk = libm::sin(half) / half;
-        let harmonic = Self {
-            frequency,
-            amplitude: fit.amplitude.map(|amplitude| amplitude / shrunk),
-            explained: 1.0 - fit.rest / smooth.rest,
-        };
-        let size = libm::hypot(harmonic.amplitude[0], harmonic.amplitude[1]) / 2f64.sqrt();
-        let is_large = size >= SIZE_MIN * averages.deviation;
-        (is_large && harmonic.explained >= EXPLAINED_MIN).then_some(harmonic)
+        averages.harmonic(0.5 * (of_first + of_second))
+    }
+
+    /// Fits the harmonic of a frequency that is known \[rad/s\]; `None` as for [`Self::find`], so that what may be
+    /// a function of the state is left to the network.
+    #[must_use]
+    pub fn of_frequency(recording: &Recording, row: &[f64], frequency: f64) -> Option<Self> {
+        let averages =
+            Averages::new(recording, row, 2).or_else(|| Averages::new(recording, row, 1))?;
+        averages.harmonic(frequency)
     }
 
     /// Returns the recording without this harmonic along `column`, the direction's column of `T^-1`.
@@ -187,6 +184,22 @@ impl Averages {
             if rest(left) < rest(right) { high = right } else { low = left }
         }
         Some(0.5 * (low + high))
+    }
+
+    /// Returns the harmonic of this frequency \[rad/s\]; `None` if it is not worth mentioning.
+    fn harmonic(&self, frequency: f64) -> Option<Harmonic> {
+        let (smooth, fit) = (self.rest(None)?, self.rest(Some(frequency))?);
+        // Averages shrink the harmonic.
+        let half = 0.5 * frequency * WINDOW;
+        let shrunk = libm::sin(half) / half;
+        let harmonic = Harmonic {
+            frequency,
+            amplitude: fit.amplitude.map(|amplitude| amplitude / shrunk),
+            explained: 1.0 - fit.rest / smooth.rest,
+        };
+        let size = libm::hypot(harmonic.amplitude[0], harmonic.amplitude[1]) / 2f64.sqrt();
+        let is_large = size >= SIZE_MIN * self.deviation;
+        (is_large && harmonic.explained >= EXPLAINED_MIN).then_some(harmonic)
     }
 
     /// Fits the smooth functions, and a harmonic of this frequency.
@@ -288,6 +301,16 @@ mod tests {
             };
             assert_eq!(first(&rest), first(&recording));
         }
+    }
+
+    #[test]
+    fn a_known_frequency_is_fitted_where_there_is_one() {
+        let recording = recording(2.5);
+        let found = Harmonic::of_frequency(&recording, &[0.0, 1.0], 2.5).unwrap();
+        let size = libm::hypot(found.amplitude[0], found.amplitude[1]);
+        assert!((size - 0.4).abs() < 0.02, "{found:?}");
+        assert_eq!(Harmonic::of_frequency(&recording, &[1.0, 0.0], 2.5), None);
+        assert_eq!(Harmonic::of_frequency(&recording, &[0.0, 1.0], 9.0), None);
     }
 
     #[test]
