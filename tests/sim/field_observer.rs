@@ -175,6 +175,12 @@ const FORMS: [(&str, &str, u64, &[f64]); 13] = [
         &TABLE_1,
     ),
     (
+        "two-cycles",
+        include_str!("../../host-sim/examples/field-observer/two-cycles.toml"),
+        260,
+        &TABLE_1,
+    ),
+    (
         "no-network",
         include_str!("../../host-sim/examples/field-observer/no-network.toml"),
         450,
