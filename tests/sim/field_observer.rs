@@ -147,7 +147,7 @@ fn another_parent_is_followed_when_the_parent_is_down() {
 
 /// The scenarios that docs/field-observer.md measures: name, broadcasts of all agents that must suffice, and
 /// largest errors of the agents.
-const FORMS: [(&str, &str, u64, &[f64]); 13] = [
+const FORMS: [(&str, &str, u64, &[f64]); 14] = [
     (
         "theorem-1",
         include_str!("../../host-sim/examples/field-observer/theorem-1.toml"),
