@@ -37,18 +37,17 @@ pub(super) fn is_missing<const N: usize>(
     if since < Tick::from(exchange.repeat) {
         return false;
     }
+    // What is older than this was sampled before the neighbour had the sample.
+    let received = since.saturating_sub(Tick::from(exchange.delay));
     holds.iter().enumerate().any(|(place, hold)| {
-        let Some(hold) = Hold::present(hold).filter(|hold| hold.is_new_at(tick)) else {
+        let hold = Hold::present(hold);
+        let Some(hold) = hold.filter(|h| h.is_new_at(tick) && h.age_here(tick) < received) else {
             return false;
         };
-        if hold.age_here(tick).saturating_add(Tick::from(exchange.delay)) >= since {
-            return false;
-        }
         let error = difference(hold.estimate(), own.estimate());
         field.directions.iter().enumerate().any(|(c, direction)| {
-            let error = field.coordinate(c, &error);
-            let limit = SHARE * direction.radius;
-            is_followed_by(direction, place) && !(error <= limit && error >= -limit)
+            is_followed_by(direction, place)
+                && field.coordinate(c, &error).abs() > SHARE * direction.radius
         })
     })
 }
