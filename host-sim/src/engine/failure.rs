@@ -63,6 +63,14 @@ pub fn remedy(scenario: &Scenario) -> &'static str {
         Method::Regression => {
             "lower the gain of [outer_law], or collect samples over a longer window (collect_from and collect_to of [[learning]])"
         }
+        // The paper's observer runs at least until the field observer starts.
+        Method::Observer | Method::Untrained | Method::NoNetwork | Method::KnownModel
+            if scenario.exchange.gap > 1
+                && scenario.observer.as_ref().is_none_or(|observer| observer.from > 0.0) =>
+        {
+            "lower exchange.gap, since the paper's observer needs broadcasts as often as its trigger asks for, \
+             or lower design.gain"
+        }
         _ if scenario.observer.is_some() => {
             "lower time.step, observer.tree_gain or observer.bandwidth"
         }
@@ -99,5 +107,25 @@ pub(super) fn plant_error(
             RunError::Expression(Box::new(fault))
         }
         _ => RunError::PlantDiverged { time: time.at(tick + 1) },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::PAPER;
+
+    #[test]
+    fn a_gap_that_the_papers_observer_does_not_stand_is_named() {
+        let gap = "[exchange]\ngap = 0.01\nheartbeat = 0.2\n\n[evaluation]";
+        for (observer, expected) in [
+            ("", "exchange.gap"),
+            ("[observer]\npreset = \"field\"\nfrom = 20.0\n\n", "exchange.gap"),
+            ("[observer]\npreset = \"field\"\n\n", "observer.tree_gain"),
+        ] {
+            let text = PAPER.replacen("[evaluation]", &format!("{observer}{gap}"), 1);
+            let scenario = Scenario::parse("paper.toml", &text).unwrap();
+            assert!(remedy(&scenario).contains(expected), "{observer}: {}", remedy(&scenario));
+        }
     }
 }
