@@ -41,13 +41,13 @@ pub enum LinkErrorKind {
 
 /// An error of a [`Sensor`](crate::Sensor).
 pub trait SensorError: Debug {
-    /// Under which kind a node counts it.
+    /// Returns the kind as which a node counts it.
     fn kind(&self) -> SensorErrorKind;
 }
 
 /// An error of a [`Link`](crate::Link).
 pub trait LinkError: Debug {
-    /// Under which kind a node counts it.
+    /// Returns the kind as which a node counts it.
     fn kind(&self) -> LinkErrorKind;
 }
 

@@ -103,7 +103,7 @@ impl<P: Read + Write, const FRAMES: usize> Board for InTheLoop<P, FRAMES> {
         }
     }
 
-    /// A tick without a measurement plays a sensor that is not ready.
+    /// A tick without a measurement stands for a sensor that is not ready.
     fn measure(&mut self, measurement: &mut [f32]) -> Result<usize, SensorErrorKind> {
         let numbers = self.measurement.take().ok_or(SensorErrorKind::NotReady)?;
         let places = measurement.get_mut(..numbers.len()).ok_or(SensorErrorKind::Other)?;

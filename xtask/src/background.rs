@@ -32,7 +32,7 @@ impl Background {
         Self::started(task, debian, Command::new)
     }
 
-    /// Starts it so that it gives way to what runs beside it.
+    /// Starts it at low priority, so that it gives way to everything else.
     ///
     /// # Errors
     /// As [`Self::start`].

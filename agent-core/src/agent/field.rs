@@ -37,7 +37,7 @@ use crate::observer::field::{
 use crate::observer::network::Scratch;
 use crate::observer::outer_law::combine;
 
-/// Longest time for which a chip stalls while it erases: 2 s in steps of 1 ms, and as long again.
+/// Longest time for which a chip may stall while it erases: twice 2 s, in steps of 1 ms.
 /// \[step\]
 const STALL_MAX: Tick = 4_096;
 

@@ -17,7 +17,7 @@ use crate::report::theorems::DesignChecks;
 use crate::scenario::{Agent, Scenario};
 use crate::warning::Warning;
 
-/// Steps at which known inputs are evaluated at most; of a longer run, evenly spaced ones.
+/// Largest number of steps at which known inputs are evaluated; in a longer run they are evenly spaced.
 const TICKS_CHECKED: u64 = 1 << 20;
 
 /// Arguments of `check`.

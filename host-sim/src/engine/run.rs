@@ -36,7 +36,7 @@ use crate::training::{Dataset, TrainingError};
 
 /// Steps between progress reports.
 const PROGRESS_STRIDE: Tick = 512;
-/// Steps between two questions whether to stop: few, because a plant may take milliseconds a step.
+/// Steps between checks for a request to stop: few, because a plant may take milliseconds a step.
 const STOP_STRIDE: Tick = 8;
 
 /// Runs `scenario` over the link it describes.

@@ -19,7 +19,7 @@ impl StateSize {
         Self { largest_squared: 0.0, steps: 0, mean: vec![0.0; dimension], squares: 0.0 }
     }
 
-    /// Adds the state of a step, shape `[n]`, in the evaluation window or not.
+    /// Adds the state of a step, shape `[n]`; `is_evaluated` says whether it is in the evaluation window.
     #[inline]
     pub(super) fn note(&mut self, state: &[f64], is_evaluated: bool) {
         let squared = state.iter().fold(0.0, |sum, x| sum + x * x);

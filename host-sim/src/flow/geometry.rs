@@ -222,7 +222,7 @@ fn choose(rows: &[Row], n: usize) -> Result<Vec<Vec<f64>>, (usize, Vec<f64>)> {
     Ok(directions.into_iter().map(|(_, _, direction)| direction).collect())
 }
 
-/// Returns a unit vector that is orthogonal to a basis of less than `n` vectors.
+/// Returns a unit vector that is orthogonal to a basis of fewer than `n` vectors.
 fn outside(basis: &[Vec<f64>], n: usize) -> Vec<f64> {
     let axis = |j: usize| (0..n).map(|k| f64::from(u8::from(k == j))).collect::<Vec<_>>();
     let parts: Vec<Vec<f64>> = (0..n).map(|j| without(without(axis(j), basis), basis)).collect();

@@ -14,7 +14,7 @@ use crate::signing::OperatorKey;
 /// How long a node may take to forget its keys and restart: it erases its flash.
 const FACTORY_RESET_MAX: Duration = Duration::from_secs(15);
 
-/// Interval between questions whether it has.
+/// Interval at which the node is asked whether it is ready again.
 const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Requests a node's session; `None` if it is not provisioned, or if its firmware does not know keys.

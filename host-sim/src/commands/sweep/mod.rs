@@ -376,7 +376,7 @@ fn again(path: &Path, folder: &Path) -> String {
     name
 }
 
-/// Returns the command that repeats the study, without where it writes and how fast it is.
+/// Returns the command that repeats the study, without its output folder and number of threads.
 fn command(arguments: &Arguments, scenario: &str) -> Vec<String> {
     let mut words = vec!["host-sim".to_owned(), "sweep".to_owned(), scenario.to_owned()];
     let mut option = |name: &str, value: String| words.extend([name.to_owned(), value]);

@@ -63,7 +63,7 @@ pub(super) struct Study {
     pub(super) shard: String,
     /// Number of runs of this part.
     pub(super) runs: u64,
-    /// The command that repeats the study, without where it writes and how fast it is; empty if an older
+    /// The command that repeats the study, without its output folder and number of threads; empty if an older
     /// version wrote this.
     #[serde(default)]
     pub(super) command: Vec<String>,

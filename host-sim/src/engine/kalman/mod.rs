@@ -38,7 +38,7 @@ const NOISE_MIN: f64 = 1e-3;
 const LAG_MAX: Tick = 1_000;
 /// Steps between progress reports.
 const PROGRESS_STRIDE: Tick = 512;
-/// Steps between two questions whether to stop: few, because a plant may take milliseconds a step.
+/// Steps between checks for a request to stop: few, because a plant may take milliseconds a step.
 const STOP_STRIDE: Tick = 8;
 
 /// A sample of an agent, predicted to the present.

@@ -54,7 +54,7 @@ pub(super) struct Waiting {
     sent: f64,
 }
 
-/// When a frame can start. The greatest is the next one.
+/// When a frame can start, ordered for a heap: the next one is the greatest.
 #[derive(Debug, PartialEq)]
 struct Start {
     time: f64,
