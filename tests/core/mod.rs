@@ -8,4 +8,5 @@ pub(crate) mod oracle;
 mod properties;
 pub(crate) mod random_network;
 mod refusals;
+mod study_oracle;
 pub(crate) mod watched_ring;
