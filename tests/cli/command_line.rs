@@ -279,6 +279,7 @@ fn run_in_json_is_one_object() {
         "trainings",
         "link",
         "radio",
+        "processor",
         "methods",
         "checks",
         "warnings",

@@ -36,6 +36,7 @@ mod node_report;
 mod observer_certificate;
 mod output;
 mod package_format;
+mod processor;
 mod progress;
 #[cfg(unix)]
 mod push;

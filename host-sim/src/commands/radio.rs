@@ -58,10 +58,10 @@ pub(super) const RADIOS: [Radio; 3] = [
 ];
 
 /// Charge of a CR2032, and of two AA cells in series. \[A s\]
-const BATTERIES: [f64; 2] = [0.235 * 3600.0, 2.5 * 3600.0];
+pub(super) const BATTERIES: [f64; 2] = [0.235 * 3600.0, 2.5 * 3600.0];
 
 /// \[s\]
-const DAY: f64 = 86_400.0;
+pub(super) const DAY: f64 = 86_400.0;
 
 impl Radio {
     /// Returns the time on air of a frame of this many bytes. \[s\]
@@ -129,8 +129,8 @@ fn cost(radio: &Radio, nodes: &[[Frames; 2]], window: f64) -> Cost {
     }
 }
 
-/// Returns the cost on each of [`RADIOS`] of what the agents send within `window` \[s\].
-pub(super) fn costs(graph: &Graph, sent: &[Frames], window: f64) -> Vec<Cost> {
+/// Returns what each agent sends, and hears of its neighbours.
+pub(super) fn nodes(graph: &Graph, sent: &[Frames]) -> Vec<[Frames; 2]> {
     let heard = |agent: usize| {
         let neighbours = graph.neighbours(agent).iter().filter_map(|edge| sent.get(edge.agent));
         neighbours.fold(Frames::default(), |sum, frames| Frames {
@@ -138,8 +138,12 @@ pub(super) fn costs(graph: &Graph, sent: &[Frames], window: f64) -> Vec<Cost> {
             bytes: sum.bytes + frames.bytes,
         })
     };
-    let nodes: Vec<_> = sent.iter().enumerate().map(|(i, &sent)| [sent, heard(i)]).collect();
-    RADIOS.iter().map(|radio| cost(radio, &nodes, window)).collect()
+    sent.iter().enumerate().map(|(i, &sent)| [sent, heard(i)]).collect()
+}
+
+/// Returns the cost on each of [`RADIOS`] of what nodes send and hear within `window` \[s\].
+pub(super) fn costs(nodes: &[[Frames; 2]], window: f64) -> Vec<Cost> {
+    RADIOS.iter().map(|radio| cost(radio, nodes, window)).collect()
 }
 
 /// Returns the days for which a battery lasts, in words; - if the channel is too slow.
@@ -197,7 +201,7 @@ mod tests {
         let edge = |second| Edge { first: 0, second, weight: 1.0 };
         let graph = Graph::new(3, &[edge(1), edge(2)]).unwrap();
         let frames = |count| Frames { count, bytes: 50 * count };
-        let found = costs(&graph, &[frames(1), frames(20), frames(30)], 20.0);
+        let found = costs(&nodes(&graph, &[frames(1), frames(20), frames(30)]), 20.0);
         assert_eq!(found.len(), RADIOS.len());
         // The centre hears 50 frames of 67 bytes and sends one; the others send up to 30 and hear one.
         let airtime = 67.0 * 32e-6;

@@ -72,7 +72,9 @@ impl<'p> Setting<'p> {
     fn costs(&self, graph: &Graph, window: f64) -> Vec<Cost> {
         let mut costs: Vec<Vec<Cost>> = RADIOS.iter().map(|_| Vec::new()).collect();
         for point in self.points {
-            for (costs, cost) in costs.iter_mut().zip(radio::costs(graph, &point.frames, window)) {
+            for (costs, cost) in
+                costs.iter_mut().zip(radio::costs(&radio::nodes(graph, &point.frames), window))
+            {
                 costs.push(cost);
             }
         }

@@ -17,8 +17,8 @@ use super::package_format::PackageFormat;
 use super::run_folder::RunFolder;
 use super::scenario_source::load_with_text;
 use super::{
-    Changes, CommandError, Common, ProgressBars, TableFormat, agent_table, health, methods, radio,
-    trainings, warnings,
+    Changes, CommandError, Common, ProgressBars, TableFormat, agent_table, health, methods,
+    processor, radio, trainings, warnings,
 };
 use super::{print_outcome, print_text};
 use crate::number::significant;
@@ -148,6 +148,7 @@ fn text_of(run: &ReportedRun) -> String {
     if run.agents.iter().any(|agent| agent.broadcasts_evaluated > 0) {
         text += &radio::text(&run.radio);
     }
+    text += &processor::text(&run.processor);
     if !run.rows.is_empty() {
         text += &methods::text(&run.rows);
     }

@@ -11,6 +11,7 @@ use crate::commands::baselines::{
 };
 use crate::commands::health::HealthReport;
 use crate::commands::observer_certificate::ObserverCertificate;
+use crate::commands::processor;
 use crate::commands::radio::{self, Frames};
 use crate::commands::trainings::{self, TrainingSummary};
 use crate::commands::{CommandError, SharedProgress, methods, warnings};
@@ -79,7 +80,7 @@ impl PreparedRun {
         let others = rows.iter().filter(|row| !own.contains(&row.method));
         warnings.extend(others.filter_map(methods::Row::warning));
         let agents = agent_reports(&scenario, &result, &baselines);
-        let radio = radio_costs(&scenario, &result);
+        let (radio, processor) = costs(&scenario, &result);
         let certificate = ObserverCertificate::new(&scenario, &result.trainings);
         let trainings = trainings::summaries(&result.trainings);
         Ok(ReportedRun {
@@ -91,6 +92,7 @@ impl PreparedRun {
             agents,
             trainings,
             radio,
+            processor,
             checks,
             certificate,
             warnings,
@@ -111,6 +113,7 @@ pub struct ReportedRun {
     pub(super) agents: Vec<AgentReport>,
     pub(super) trainings: Vec<TrainingSummary>,
     pub(super) radio: Vec<radio::Cost>,
+    pub(super) processor: Vec<processor::Cost>,
     pub(super) checks: Checks,
     pub(super) certificate: Option<ObserverCertificate>,
     warnings: Vec<Warning>,
@@ -137,6 +140,8 @@ struct Report<'a> {
     link: &'a [LayerCount],
     /// What broadcasts in the evaluation window cost on real radios.
     radio: &'a [radio::Cost],
+    /// What computing costs on real microcontrollers.
+    processor: &'a [processor::Cost],
     checks: ChecksReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     observer: Option<&'a ObserverCertificate>,
@@ -195,6 +200,7 @@ impl ReportedRun {
             trainings: &self.trainings,
             link: &self.result.layers,
             radio: &self.radio,
+            processor: &self.processor,
             checks: ChecksReport::new(&self.checks),
             observer: self.certificate.as_ref(),
             warnings: &self.warnings,
@@ -277,14 +283,16 @@ fn simulate(
     Ok((result?, baselines, others))
 }
 
-fn radio_costs(scenario: &Scenario, result: &RunResult) -> Vec<radio::Cost> {
+/// Returns what the window's broadcasts and steps cost on real radios and microcontrollers.
+fn costs(scenario: &Scenario, result: &RunResult) -> (Vec<radio::Cost>, Vec<processor::Cost>) {
     let sent: Vec<_> = result
         .agents
         .iter()
         .map(|agent| Frames { count: agent.broadcasts_evaluated, bytes: agent.bytes_evaluated })
         .collect();
-    let window = &scenario.evaluation;
-    radio::costs(&scenario.graph, &sent, window.to - window.from)
+    let nodes = radio::nodes(&scenario.graph, &sent);
+    let window = scenario.evaluation.to - scenario.evaluation.from;
+    (radio::costs(&nodes, window), processor::costs(scenario, &nodes, window))
 }
 
 fn agent_reports(
