@@ -13,6 +13,9 @@ mod choose_network;
 #[path = "../../host-sim/examples/compare_triggers.rs"]
 mod compare_triggers;
 #[allow(dead_code, reason = "its main is not called here")]
+#[path = "../../host-sim/examples/paths.rs"]
+mod paths;
+#[allow(dead_code, reason = "its main is not called here")]
 #[path = "../../host-sim/examples/radio_outages.rs"]
 mod radio_outages;
 #[allow(dead_code, reason = "its main is not called here")]
@@ -54,6 +57,15 @@ fn triggers_are_compared_by_errors_and_broadcasts() {
     for (often, rare) in figures("event, epsilon = 3000 ").iter().zip(&rare) {
         assert!(rare.1 < often.1 && rare.0 > often.0, "{table}");
     }
+}
+
+#[test]
+fn the_error_grows_with_the_latency_of_a_path() {
+    let [[first, last], [_, sooner]] =
+        [1e-3, 5e-4].map(|step| paths::errors(16, step, true).unwrap());
+    // docs/field-observer.md has 0.59, 0.82 and 0.71.
+    assert!(first < 0.65 && first < last && last < 0.9, "{first} {last}");
+    assert!(sooner < 0.95 * last, "{sooner} {last}");
 }
 
 #[test]
