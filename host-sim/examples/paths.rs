@@ -24,9 +24,11 @@ type Failure = Box<dyn Error + Send + Sync>;
 /// The run fails.
 pub(crate) fn errors(agents: usize, step: f64, knows_f: bool) -> Result<[f64; 2], Failure> {
     let star = include_str!("field-observer/lorenz-star.toml");
-    let text = star
-        .replace("edges = [[1, 2], [1, 3]]", "topology = \"path\"")
-        .replace("step = 0.001", &format!("step = {step:?}"))
+    let changed = |text: &str, old: &str, new: &str| {
+        text.contains(old).then(|| text.replace(old, new)).ok_or(format!("{old} is not there"))
+    };
+    let path = changed(star, "edges = [[1, 2], [1, 3]]", "topology = \"path\"")?;
+    let text = changed(&path, "step = 0.001", &format!("step = {step:?}"))?
         + &"[[agents]]\noutput_matrix = [[1.0, 1.0, 1.0]]\n".repeat(agents.saturating_sub(3));
     let mut scenario = Scenario::parse("path.toml", &text)?;
     if knows_f {
@@ -41,8 +43,9 @@ pub(crate) fn errors(agents: usize, step: f64, knows_f: bool) -> Result<[f64; 2]
     let result = run(&scenario, options, &Silent)?;
     // The root of the summed variances, of which `rmse` is a share.
     let (rows, window) = (result.traces.rows(), &scenario.evaluation);
-    let rows: Vec<usize> =
-        (0..rows).filter(|&row| result.traces.time()[row] >= window.from).collect();
+    let rows: Vec<usize> = (0..rows)
+        .filter(|&row| (window.from..=window.to).contains(&result.traces.time()[row]))
+        .collect();
     let mean =
         |f: &dyn Fn(usize) -> f64| rows.iter().map(|&row| f(row)).sum::<f64>() / rows.len() as f64;
     let variance = |c: usize| {

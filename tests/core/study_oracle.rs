@@ -88,7 +88,7 @@ impl Outcome {
             assert!(is_close, "{name}, agent {}: {found} broadcasts in place of {expected}", i + 1);
         }
         for (i, (found, expected)) in self.errors.iter().zip(&study.errors).enumerate() {
-            let is_close = (found / expected - 1.0).abs() <= 1.5 * fraction;
+            let is_close = (found / expected - 1.0).abs() <= fraction;
             assert!(is_close, "{name}, agent {}: error {found} in place of {expected}", i + 1);
         }
     }
@@ -334,10 +334,11 @@ fn agents_broadcast_and_err_as_in_the_study() {
             *found -= u32::from(!announced.contains(&true));
         }
         // The study's first rates are of a tick before.
-        let starts_alike = case.hold != "rate" || case.knowledge == "none";
-        early.check(&case.early, if starts_alike { 0.02 } else { 0.15 }, &format!("{name}, early"));
+        let knows = case.knowledge != "none";
+        let limit = if knows && case.hold == "rate" { 0.15 } else { 0.02 };
+        early.check(&case.early, limit, &format!("{name}, early"));
         let late = between(golden.from..golden.steps);
-        late.check(&case.late, 0.15, &format!("{name}, late"));
+        late.check(&case.late, if knows { 0.15 } else { 0.02 }, &format!("{name}, late"));
         let total = |outcome: &Outcome| f64::from(outcome.broadcasts.iter().sum::<u32>());
         let ratio = total(&late) / total(&case.late);
         assert!((ratio - 1.0).abs() < 0.06, "{name}: {ratio} times the broadcasts");

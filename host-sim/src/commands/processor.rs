@@ -2,8 +2,8 @@
 //!
 //! The instructions of a step are estimated from those that are counted under emulation for an agent of the paper's
 //! size (`docs/performance.md`): a constant part, and one for each multiplication of the network at each of its
-//! evaluations. Cycles are not counted anywhere: [`CYCLES`] is an assumption. Sensors, the service port and waking
-//! up do not count.
+//! evaluations. Cycles are not counted anywhere: [`CYCLES`] is an assumption. Sensors, the service port, keys, waiting
+//! for the radio's channel and waking up do not count.
 //!
 //! Sources, typical currents at 3 V and 25 degrees C: nRF52840 product specification (CoreMark from flash with cache
 //! and DC/DC converter; asleep with 256 kB of RAM retained, woken by the real-time counter on the crystal), nRF54L15
@@ -78,10 +78,11 @@ fn instructions(weights: f64, samples: f64, field: Option<HoldKind>) -> f64 {
     }
 }
 
-/// Returns the cost on a microcontroller of `instructions` a second for `window` \[s\].
+/// Returns the cost on a microcontroller of `instructions` in every step \[s\] of `window` \[s\].
 fn cost(processor: &Processor, instructions: f64, step: f64, window: f64) -> Cost {
     let busy_share = instructions * CYCLES / processor.frequency / step;
-    let current = busy_share * processor.running + (1.0 - busy_share) * processor.asleep;
+    let awake = busy_share.min(1.0);
+    let current = awake * processor.running + (1.0 - awake) * processor.asleep;
     let life = |charge: f64| (busy_share <= 1.0).then(|| charge / current / DAY);
     Cost {
         processor: processor.name,
@@ -100,7 +101,8 @@ pub(super) fn costs(scenario: &Scenario, frames: &[[Frames; 2]], window: f64) ->
     if !matches!(scenario.method, Method::Observer | Method::Untrained | Method::NoNetwork) {
         return Vec::new();
     }
-    let field = scenario.observer.as_ref().filter(|field| field.from <= scenario.evaluation.from);
+    // Of a window in which agents switch to it, the field observer's steps, which are longer.
+    let field = scenario.observer.as_ref().filter(|field| field.from < scenario.evaluation.to);
     let uses_network =
         scenario.method != Method::NoNetwork && field.is_none_or(|field| field.network);
     let n = scenario.dimension();
@@ -114,8 +116,13 @@ pub(super) fn costs(scenario: &Scenario, frames: &[[Frames; 2]], window: f64) ->
         }
         _ => 0.0,
     };
-    // A hold that the rules choose may be by the network: an upper limit.
-    let hold = field.map(|field| field.hold.unwrap_or(HoldKind::Model));
+    // Agents whose networks differ go on with rates. A hold that the rules choose may be by the network: an upper limit.
+    let have_own =
+        scenario.agents.len() > 1 && scenario.learning.iter().any(|cycle| !cycle.is_shared);
+    let hold = field.map(|field| match field.hold.unwrap_or(HoldKind::Model) {
+        HoldKind::Model if have_own => HoldKind::Rate,
+        hold => hold,
+    });
     let step = scenario.time.step_size;
     let of_agent = |(i, [sent, heard]): (usize, &[Frames; 2])| {
         let samples = 1.0 + scenario.graph.neighbours(i).len() as f64;
@@ -153,7 +160,8 @@ pub(super) fn text(costs: &[Cost]) -> String {
     };
     format!(
         "Processor of the node that computes most, if it sleeps between steps, estimated at {CYCLES} cycles an \
-         instruction:\nhow long its battery lasts if it powers nothing else; - if the processor is too slow\n\n{}\n",
+         instruction:\nhow long its battery lasts if it powers nothing else, and waits for neither sensor nor radio; \
+         - if the processor is too slow\n\n{}\n",
         Table::new(&headings, costs.iter().map(row).collect()).text()
     )
 }
@@ -181,7 +189,29 @@ mod tests {
         assert!((found.charge_awake_mc - 33.0).abs() < 1e-9);
         // 2.5 Ah at a third of a milliampere last for about ten months.
         assert!(found.life_2_aa_days.is_some_and(|days| (days - 312.9).abs() < 0.1), "{found:?}");
-        assert!(cost(&PROCESSORS[0], 40_000.0, 1e-3, 10.0).life_2_aa_days.is_none());
+        let slow = cost(&PROCESSORS[0], 40_000.0, 1e-3, 10.0);
+        assert!(slow.busy_share > 1.0 && slow.life_2_aa_days.is_none());
+        assert!((slow.charge_mc - slow.charge_awake_mc).abs() < 1e-9, "it never sleeps");
+    }
+
+    #[test]
+    fn samples_that_evolve_by_a_network_cost_an_evaluation_each() {
+        let text = include_str!("../../examples/field-observer/flow-eso.toml");
+        let counted = |text: &str| {
+            let scenario = Scenario::parse("flow-eso.toml", text).unwrap();
+            costs(&scenario, &[[Frames::default(); 2]; 3], 20.0)[0].instructions
+        };
+        // The centre of the star keeps three samples.
+        assert!((counted(text) - 13_176.0).abs() < 1e-9, "{}", counted(text));
+        let by_rates = [
+            text.replace("shared = true", "shared = false"),
+            text.replace("hold = \"model\"", "hold = \"rate\""),
+        ];
+        for other in by_rates {
+            assert!((counted(&other) - 5_005.0).abs() < 1e-9, "{}", counted(&other));
+        }
+        let later = text.replace("from = 20.0\nto", "from = 10.0\nto");
+        assert!((counted(&later) - 13_176.0).abs() < 1e-9);
     }
 
     #[test]

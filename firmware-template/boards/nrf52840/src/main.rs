@@ -9,7 +9,7 @@
 //! | link between nodes | IEEE 802.15.4 radio, channel 26, broadcast data frames in network 0x4453 |
 //! | sensor | TMP117 on TWIM0 at address 0x48, SDA P0.26, SCL P0.27, 400 kHz: `y` is the temperature in degrees C |
 //! | factory reset | P0.11 low for a second at the start: button 1 of the DK |
-//! | clock | RTC1 on the 32.768 kHz crystal |
+//! | clock | TIMER1, free-running at 16 MHz |
 //! | weights | the last 64 KiB of flash, as in the board's memory map |
 //!
 //! **The link.** Before sending, the radio waits for a frame that is being received (at most 4.3
@@ -17,11 +17,6 @@
 //! tries; the frame itself takes about 2 ms. A step that broadcasts usually takes 2 ms and at worst
 //! 30 ms: choose the sampling period accordingly, and `epsilon` for the 250 kbit/s shared by all
 //! nodes.
-//!
-//! **Sleep.** Between steps and frames the processor sleeps (System ON, all memory retained), woken by RTC1, the radio or the
-//! port, and the chip switches off the clocks that nothing asks for. The firmware does not switch the
-//! receiver off, since a neighbour may broadcast at any time: its 4.6 mA and the fast crystal stay on
-//! (docs/firmware-engineer.md has the figures).
 //!
 //! **Flash.** While a page is erased (85 ms) or a word is written (41 us; product specification,
 //! NVMC electrical specification), the processor is halted. Before an erasure the node says farewell to
@@ -92,7 +87,7 @@ static SET_UP: [SetUp; 1] = [SetUp { register: 1, value: RegisterValue::BigEndia
 /// Time allowed for sending the service port's queue before a reset. \[cycle\]
 const FLUSH_DELAY_CYCLES: u32 = 64_000_000 / 10;
 
-/// The radio needs the fast crystal. The slow clock is started without the hardware layer, which would wait for it.
+/// The radio needs the crystal; nothing here needs a clock that runs during sleep.
 type ClocksForRadio = Clocks<ExternalOscillator, Internal, LfOscStopped>;
 
 /// Time between two looks at the button: a hundredth of the time for which it must be held. \[cycle\]
@@ -150,7 +145,6 @@ struct Parts {
 fn hardware() -> Option<Parts> {
     let chip = pac::Peripherals::take()?;
     let watchdog = clock::watchdog(chip.WDT);
-    clock::select_crystal(&chip.CLOCK);
     let clocks = CLOCKS.init(Clocks::new(chip.CLOCK).enable_ext_hfosc());
     let pins = p0::Parts::new(chip.P0);
 
@@ -167,8 +161,8 @@ fn hardware() -> Option<Parts> {
     // Two bytes of the chip's factory-programmed number.
     let address = chip.FICR.deviceid[0].read().bits() as u16;
     let link = RadioLink::new(Radio::init(chip.RADIO, clocks), address);
-    let clock = Timer::new(chip.RTC1, watchdog);
-    for interrupt in [Interrupt::RTC1, Interrupt::UARTE0_UART0, Interrupt::RADIO] {
+    let clock = Timer::new(chip.TIMER1, watchdog);
+    for interrupt in [Interrupt::TIMER1, Interrupt::UARTE0_UART0, Interrupt::RADIO] {
         // SAFETY: everything the handlers use is set up, and nothing relies on their being masked.
         unsafe { NVIC::unmask(interrupt) };
     }
