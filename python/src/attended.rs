@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 
 use crate::errors::{OrRaise, usage};
 
-/// Time between two looks at signals and progress.
+/// Interval at which signals and progress are checked.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Largest number of threads, as on the command line.

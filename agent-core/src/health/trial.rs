@@ -70,7 +70,7 @@ pub const SECONDS_MIN: u32 = 10;
 /// Longest trial. \[s\]
 pub const SECONDS_MAX: u32 = 24 * 60 * 60;
 
-/// How many times the length of the trial the deadline is.
+/// Deadline of a trial, as a multiple of its length.
 const DEADLINE: u32 = 3;
 
 /// Why a package is no longer in use. Numbers and names are part of the service protocol; new ones

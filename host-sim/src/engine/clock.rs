@@ -1,6 +1,6 @@
 //! The clock of an agent: which of its own ticks belongs to a step.
 //!
-//! Agents step with the engine, so a clock that runs fast skips a number now and then, as a late
+//! Agents step with the engine, so a clock that runs fast skips a number from time to time, as a late
 //! node does, and one that runs slowly leaves a step out. The ticks in frames are the agent's own.
 
 use agent_core::Tick;

@@ -74,7 +74,7 @@ pub trait Progress: Sync {
         let _ = (agent, cycle, report);
     }
 
-    /// Whether the run is to end, which is asked now and then: the run then fails with
+    /// Whether to stop the run, asked every so often. If so, the run fails with
     /// [`RunError::Interrupted`].
     fn is_stopped(&self) -> bool {
         false

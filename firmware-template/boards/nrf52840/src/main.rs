@@ -90,7 +90,7 @@ const FLUSH_DELAY_CYCLES: u32 = 64_000_000 / 10;
 /// The radio needs the crystal; nothing here needs a clock that runs during sleep.
 type ClocksForRadio = Clocks<ExternalOscillator, Internal, LfOscStopped>;
 
-/// Time between two looks at the button: a hundredth of the time for which it must be held. \[cycle\]
+/// Interval at which the button is read: a hundredth of the time for which it must be held. \[cycle\]
 const BUTTON_CYCLES: u32 = 64_000_000 / 100;
 
 type ThisNode = Node<'static, Flash, N, FEATURES, NEIGHBOURS, SAMPLES>;

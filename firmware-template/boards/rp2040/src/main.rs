@@ -92,7 +92,7 @@ const LINK_BAUD: u32 = 1_000_000;
 /// Time allowed for sending the service port's queue before a reset. \[cycle\]
 const FLUSH_DELAY_CYCLES: u32 = 125_000_000 / 10;
 
-/// Time between two looks at the button: a hundredth of the time for which it must be held. \[cycle\]
+/// Interval at which the button is read: a hundredth of the time for which it must be held. \[cycle\]
 const BUTTON_CYCLES: u32 = 125_000_000 / 100;
 
 /// The bootloader for the flash chip on this board.
