@@ -277,10 +277,7 @@ where
             Prediction { params: own, network, outer_weights: shipped, digest, step_size };
 
         let holds = self.neighbour_holds.as_mut();
-        let arrived = |sample: &Hold<N>, held: Option<&Hold<N>>| {
-            exchange.arrived(&params.exchange, step_size, sample, held, tick)
-        };
-        let drained = inbox.drain_into(holds, tick, params.restart_silence, arrived);
+        let drained = exchange.take_over(params, inbox, holds, tick);
         self.stale_frames = drained.stale;
         let was_away = exchange.is_away();
         exchange.heard(&drained);

@@ -356,12 +356,7 @@ where
         // Nothing can fail from here on.
         let sample = Sample { tick, estimate: self.estimate, derivative };
         let hold_error = difference(self.own_hold.estimate(), &estimate);
-        let silence = params.restart_silence;
-        let (exchange, step_size) = (&self.exchange, params.step_size);
-        let arrived = |sample: &Hold<N>, held: Option<&Hold<N>>| {
-            exchange.arrived(&params.exchange, step_size, sample, held, tick)
-        };
-        let drained = inbox.drain_into(self.neighbour_holds.as_mut(), tick, silence, arrived);
+        let drained = self.exchange.take_over(params, inbox, self.neighbour_holds.as_mut(), tick);
         self.stale_frames = drained.stale;
         self.exchange.heard(&drained);
         self.exchange.follow(&params.exchange, &derivative);

@@ -49,7 +49,7 @@ impl Model {
         self.limited(disturbance.bias + disturbance.cosine)
     }
 
-    #[inline]
+    #[inline(never)]
     fn limited(&self, value: f32) -> f32 {
         if value > self.clip {
             self.clip
