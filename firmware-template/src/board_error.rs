@@ -41,7 +41,7 @@ pub enum LinkErrorKind {
 
 /// An error of a [`Sensor`](crate::Sensor).
 pub trait SensorError: Debug {
-    /// Returns the kind as which a node counts it.
+    /// Returns the kind that a node counts it as.
     fn kind(&self) -> SensorErrorKind;
 }
 

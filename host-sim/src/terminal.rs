@@ -54,7 +54,7 @@ pub fn one_line(name: &str) -> Cow<'_, str> {
 /// Prints a result.
 ///
 /// # Errors
-/// The error of standard output.
+/// Standard output cannot be written.
 pub fn print(text: &str) -> io::Result<()> {
     write_output(visible(text).as_bytes())
 }

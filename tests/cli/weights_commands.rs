@@ -74,7 +74,7 @@ fn from_samples_to_a_signed_package_that_cannot_be_changed() {
     assert_eq!(next["version"], 3);
     folder.succeed("weights verify next.weights --in-use node1.weights");
     let error = folder.fail("weights verify node1.weights --in-use next.weights", 2);
-    assert!(error.contains("version 2, but version 3 has been in use"), "{error}");
+    assert!(error.contains("version 2, but version 3 has already been used"), "{error}");
     // Only the operator can send a node back to it.
     let back = "weights sign node1.weights --key operator.key --epoch 1 --out back.weights";
     let report = json(&folder, back);
@@ -86,7 +86,7 @@ fn from_samples_to_a_signed_package_that_cannot_be_changed() {
     for old in ["node1", "next", "back"] {
         let again = format!("weights verify {old}.weights --in-use back.weights");
         let error = folder.fail(&again, 2);
-        assert!(error.contains("has been in use") && error.contains("--epoch"), "{error}");
+        assert!(error.contains("has already been used") && error.contains("--epoch"), "{error}");
     }
     let replaces = "weights sign node1.weights --key operator.key --replaces 3 --out back.weights";
     let error = folder.fail(replaces, 2);

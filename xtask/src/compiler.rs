@@ -31,7 +31,7 @@ const LLD: &str = "/usr/bin/lld";
 const CRATES: [&str; 3] = ["core", "alloc", "compiler_builtins"];
 
 /// Every target that any task builds for. The sysroot always has all of them, so that no task
-/// discards another one's builds.
+/// discards the builds of another.
 const TARGETS: [&str; 4] = [
     "thumbv6m-none-eabi",
     "thumbv7em-none-eabihf",

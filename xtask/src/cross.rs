@@ -20,7 +20,7 @@ use crate::{
 
 struct Target {
     triple: &'static str,
-    /// The core has fused multiply-add instructions, so their absence must be checked.
+    /// The core has fused multiply-add instructions, so the build is checked for using none.
     fused: bool,
 }
 

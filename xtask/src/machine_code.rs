@@ -134,7 +134,7 @@ fn findings(listing: &str) -> Findings {
     found
 }
 
-/// Parses `00000000         *UND*  00000000 .hidden name` of the symbol table.
+/// Parses a line of the symbol table, such as `00000000         *UND*  00000000 .hidden name`.
 fn undefined_symbol(line: &str) -> Option<&str> {
     line.contains("*UND*").then(|| line.split_whitespace().next_back())?
 }

@@ -147,7 +147,7 @@ fn copy_workspace(to: &Path) -> Result<(), Failure> {
     write(&to.join("Cargo.toml"), &manifest.to_string())
 }
 
-/// Redirects every path in a manifest that leads out of `folder` to the same place below `crates`.
+/// Redirects every path in a manifest that points outside `folder` to the same place below `crates`.
 fn redirect(table: &mut dyn TableLike, folder: &Path, crates: &Path) {
     for (key, item) in table.iter_mut() {
         let is_path = ["path", "build"].contains(&key.get());

@@ -1,4 +1,4 @@
-//! Runs the firmware under all kinds of faults, for a long time, in emulators: `tests/soak/`.
+//! Runs the firmware in emulators for a long time, under all kinds of faults; see `tests/soak/`.
 
 use crate::{
     emulate, firmware,

@@ -59,7 +59,7 @@ pub(crate) fn studies(debian: bool) -> Result<(), Failure> {
     study.parallel()?;
     study.dask(&folder.join("python"))?;
     println!(
-        "studies: 5 parts by Slurm's script, GNU parallel and Dask: the same bytes as in one go"
+        "studies: in 5 parts, with the Slurm script, GNU parallel and Dask: the same bytes as in a single run"
     );
     Ok(())
 }

@@ -253,7 +253,7 @@ impl<const N: usize> Exchange<N> {
         })
     }
 
-    /// Takes the derivative of a step into the mean velocity.
+    /// Adds the derivative of a step to the mean velocity.
     #[inline]
     pub(crate) fn follow(&mut self, params: &ExchangeParams, derivative: &StateVector<N>) {
         if params.compensates() {

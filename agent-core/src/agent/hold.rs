@@ -265,7 +265,7 @@ impl<const N: usize> Hold<N> {
         self.is_newer_than(held) || now.saturating_sub(held.taken_over) > silence
     }
 
-    /// Returns `x_tilde`, which stands in for the estimate since the sample was taken.
+    /// Returns `x_tilde`, which has stood in for the estimate since the sample was taken.
     #[inline]
     #[must_use]
     pub fn estimate(&self) -> &StateVector<N> {

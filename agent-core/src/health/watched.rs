@@ -98,7 +98,7 @@ impl<const N: usize, const FEATURES: usize, S: HoldSlots<N>, I: HoldSlots<N>>
             .inspect_err(|error| self.health.frame_refused(error))
     }
 
-    /// Keeps a frame that [`Trust`](crate::agent::trust::Trust) believes for the next step if its
+    /// Keeps for the next step a frame that [`Trust`](crate::agent::trust::Trust) believes, if its
     /// estimate is plausible.
     ///
     /// # Errors

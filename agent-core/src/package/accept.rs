@@ -206,14 +206,14 @@ impl core::fmt::Display for Refusal {
             }
             Self::Older { highest, found } if highest.epoch == 0 && found.epoch == 0 => write!(
                 f,
-                "the package has version {}, but version {} has been in use",
+                "the package has version {}, but version {} has already been used",
                 found.version, highest.version
             ),
             Self::Older { highest, found } => {
-                write!(f, "the package is {found}, but {highest} has been in use")
+                write!(f, "the package is {found}, but {highest} has already been used")
             }
             Self::Repeated { serial } => {
-                write!(f, "a package with {serial} has been in use already")
+                write!(f, "a package with {serial} has already been used")
             }
             Self::Step { range, found } => write!(
                 f,

@@ -89,7 +89,7 @@ pub struct Package<'a> {
     pub epoch: u32,
     /// Increases with every package for the same agent; older packages are refused.
     pub version: u32,
-    /// If present, the package may replace any version up to this one although its own version is
+    /// If present, the package may replace any version up to this one even if its own version is
     /// lower, once and in epoch 0. Honoured only if the package is signed. Format 1 only.
     pub replaces: Option<u32>,
     /// Whether the adapted outer weights are kept when the package is activated.

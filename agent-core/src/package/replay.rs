@@ -1,6 +1,6 @@
 //! The order of an agent's packages: which may follow which, so that nothing old comes back.
 //!
-//! A node keeps the highest [`Serial`] that it ever activated, whatever is in use, and accepts only
+//! A node keeps the highest [`Serial`] that it has ever activated, whatever is in use, and accepts only
 //! a higher one. "The content of version 4 in the next epoch" is how an operator goes back. A
 //! package of format 1 belongs to epoch 0; its permission to replace newer versions, which needs a
 //! signature, works once, because activating it moves the highest serial past every version that it
@@ -46,7 +46,7 @@ impl Requirements<'_> {
         self.serial_after(package.serial(), package.replaces)
     }
 
-    /// Like [`Self::serial_after_activation`], for a package of which only these are known.
+    /// Like [`Self::serial_after_activation`], for a package of which only these values are known.
     #[must_use]
     pub fn serial_after(&self, serial: Serial, replaces: Option<u32>) -> Serial {
         let used_up = self.permission(serial, replaces).map(Serial::after_exception);

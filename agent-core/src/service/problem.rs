@@ -244,14 +244,14 @@ impl core::fmt::Display for RefusalReport {
             Kind::EmptyBox => write!(f, "the trained box is empty in component {found}"),
             Kind::Agent => write!(f, "it is for agent {found}, but this node is agent {expected}"),
             Kind::Older => {
-                write!(f, "it has version {found}, but version {expected} has been in use")
+                write!(f, "it has version {found}, but version {expected} has already been used")
             }
             Kind::Epoch => write!(
                 f,
                 "it is of package epoch {found}, but the node is in package epoch {expected}"
             ),
             Kind::Repeated => {
-                write!(f, "version {found} of package epoch {expected} has been in use already")
+                write!(f, "version {found} of package epoch {expected} has already been used")
             }
             Kind::Step => write!(
                 f,

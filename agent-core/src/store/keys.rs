@@ -137,7 +137,7 @@ impl<F: MappedFlash> Store<F> {
         Ok((first, end))
     }
 
-    /// Skips all epochs below `first`; does nothing if they are in use already.
+    /// Skips all epochs below `first`; does nothing if they are already in use.
     ///
     /// # Errors
     /// Same as for [`Self::reserve_epochs`].

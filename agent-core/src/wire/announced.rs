@@ -118,7 +118,7 @@ impl<const N: usize> Announced<N> {
         disturbances: [Disturbance::NONE; N],
     };
 
-    /// Returns the number of words with this many rates and announced directions.
+    /// Returns the number of words that this many rates and announced directions take.
     pub(crate) const fn words_for(
         rates: usize,
         directions: usize,

@@ -404,8 +404,8 @@ fn encode(
     bytes
 }
 
-/// Decodes `bytes` without checking the components, at most `most`, which it returns as words in place:
-/// taking them through a vector would copy them four times.
+/// Decodes `bytes` without checking the components, of which there are at most `most`. Returns them as
+/// slices of `bytes`: a vector would copy them four times.
 fn decode(bytes: &[u8], most: usize) -> Result<(Head, &[[u8; 4]]), FrameError> {
     let length = FrameError::Length { found: bytes.len() };
     if bytes.len() > length_with(most) {

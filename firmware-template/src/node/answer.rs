@@ -190,7 +190,7 @@ impl<
         Ok((Response::InUse { version }, Next::Switch))
     }
 
-    /// Returns the properties of a package that has been in use. Not inlined, so that its
+    /// Returns the properties of a package that has been used. Not inlined, so that its
     /// stack frame does not add to that of a journal write.
     #[inline(never)]
     fn known_package(&self, slot: Slot) -> Option<InUsePackage> {

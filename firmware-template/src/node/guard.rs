@@ -31,8 +31,8 @@ use agent_core::{AgentId, Tick};
 use super::{Epochs, Settings};
 use crate::board::{Board, LinkErrorKind};
 
-/// Epochs that a boot takes, and again whenever it has used them up: one for each agent that starts
-/// again from its first broadcast.
+/// Number of epochs that a boot takes, and takes again when they run out: an agent that starts again
+/// from its first broadcast needs one.
 const TAKEN: u32 = 4;
 /// Epochs reserved at once.
 const RESERVED: u32 = 64;

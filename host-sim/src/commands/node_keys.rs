@@ -103,8 +103,8 @@ fn operator_keys(node: &mut Client, keys: &KeyFolder) -> Result<(), CommandError
         Err(ServiceError::Refused(Problem::Package(report))) => Err(CommandError::new(
             ErrorCode::PackageRefused,
             format!(
-                "the node would no longer accept its package in use ({report}), so it keeps the operator \
-                 keys that it has; push a package that is signed with the new key, and try again"
+                "the node would no longer accept the package it is using ({report}), so it keeps its \
+                 current operator keys; push a package signed with the new key, and try again"
             ),
         )),
         given => Ok(given?),

@@ -112,8 +112,8 @@ pub(super) fn text(report: &Report) -> String {
         let TrialReport { good_seconds, needed_seconds, deadline_seconds, verdict, .. } = trial;
         text += &match verdict {
             Verdict::Running => format!(
-                "  trial: {good_seconds:.1} s of {needed_seconds:.1} s without complaint, to be \
-                 decided within {deadline_seconds:.1} s\n"
+                "  trial: {good_seconds:.1} s of {needed_seconds:.1} s without problems, decision \
+                 due within {deadline_seconds:.1} s\n"
             ),
             Verdict::AwaitsOperator => format!(
                 "  trial: nothing to compare the package with, or an output matrix that differs from the previous one; \

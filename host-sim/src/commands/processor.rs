@@ -159,8 +159,8 @@ pub(super) fn text(costs: &[Cost]) -> String {
         ]
     };
     format!(
-        "Processor of the node that computes most, if it sleeps between steps, estimated at {CYCLES} cycles an \
-         instruction:\nhow long its battery lasts if it powers nothing else, and waits for neither sensor nor radio; \
+        "Processor of the node that computes most, if it sleeps between steps, assuming {CYCLES} cycles per \
+         instruction.\nBattery life if it powers nothing else and never waits for the sensor or the radio; \
          - if the processor is too slow\n\n{}\n",
         Table::new(&headings, costs.iter().map(row).collect()).text()
     )

@@ -248,7 +248,7 @@ pub(super) fn after(
 /// Share of the width of the samples' range by which inputs may leave it without a warning.
 const OUTSIDE: f32 = 0.05;
 
-/// Describes how far polynomials were used outside the range of their samples, or returns `None` if they hardly were.
+/// Describes how far polynomials were used outside the range of their samples, or returns `None` if they practically were not.
 pub(super) fn extrapolation(scenario: &Scenario, agents: &[AgentStatistics]) -> Option<String> {
     let found = agents.iter().map(|agent| &agent.extrapolation);
     let names = [scenario.plant.state_names(), scenario.plant.input_names()].concat();

@@ -340,7 +340,7 @@ impl Board {
         self.answer()
     }
 
-    /// Forwards a request that another client has encoded, without its number, as it is. Otherwise
+    /// Forwards a request unchanged that another client has encoded without its number. Otherwise
     /// like [`Self::exchange`]. A frame or a tick would not be answered: see
     /// [`Self::forward_stimulus`].
     ///

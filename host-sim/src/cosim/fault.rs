@@ -107,7 +107,7 @@ pub enum Fault {
     },
     /// The firmware accepts only signed packages.
     #[error(
-        "the firmware accepts only signed packages, but those of this co-simulation are unsigned; build \
+        "the firmware accepts only signed packages, but the packages of this co-simulation are unsigned; build \
          it without a public key"
     )]
     SignedOnly,
@@ -145,7 +145,7 @@ fn quoted(text: &str) -> String {
 fn hint(problem: Problem) -> &'static str {
     match problem {
         Problem::NotInTheLoop => {
-            "use firmware built for the loop, as `cargo xtask firmware` builds for the emulated board"
+            "use firmware built for the loop, such as what `cargo xtask firmware` builds for the emulated board"
         }
         Problem::Package(_) | Problem::Store(_) | Problem::NoPackage => {
             "erase the board's weights, or flash it with a package of this scenario"

@@ -181,7 +181,7 @@ impl<'s> Learning<'s> {
         self.watch.is_some()
     }
 
-    /// Notes how many agents broadcast in the step at `tick`, which can start a cycle like the last one.
+    /// Notes how many agents broadcast in the step at `tick`; this may start another learning cycle.
     pub(super) fn note_broadcasts(&mut self, tick: Tick, broadcasts: u64) {
         let Some(watch) = &mut self.watch else { return };
         let is_before_field = self.plan.is_some_and(|plan| tick < plan.starts_at());

@@ -56,7 +56,7 @@ impl Traces {
         self.innovations.extend(innovations);
     }
 
-    /// Returns `|e_3i|` of the step at a row, agents from 0; `None` if it was not measured or not recorded.
+    /// Returns `|e_3i|` of the step in a row, agents counting from 0; `None` if it was not measured or not recorded.
     /// \[output unit\]
     #[must_use]
     pub fn innovation(&self, row: usize, agent: usize) -> Option<f32> {

@@ -30,7 +30,7 @@ impl Axis {
         Self { from, to, step, parts, powers: false }
     }
 
-    /// Creates an axis of decimal logarithms, from the power of ten at or below `from` to the one
+    /// Creates a logarithmic axis to base 10, from the power of ten at or below `from` to the one
     /// at or above `to`, both above 0.
     pub(super) fn powers(from: f64, to: f64) -> Self {
         let exponent =

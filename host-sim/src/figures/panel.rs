@@ -77,7 +77,7 @@ impl Panel {
         self.area.bottom() - self.y.part(value) * self.area.height
     }
 
-    /// Draws the background and the grid, below the data.
+    /// Draws the background and the grid, behind the data.
     pub(super) fn draw_grid(&self, canvas: &mut Canvas, labels: Labels) {
         canvas.fill(self.area, "#ffffff");
         if labels.minor_grid {

@@ -96,7 +96,7 @@ impl Image {
     /// Creates an image with `package` in `slot` and `record` at the start of the commit area.
     ///
     /// # Errors
-    /// If the package is empty or longer than the slot; if the record is empty, longer than a
+    /// If the package is empty or longer than the slot; if the record is empty, longer than
     /// half of the commit area or not a multiple of [`PACKAGE_ALIGNMENT`]; if a part is outside the region.
     pub fn new(
         region: &WeightsRegion,

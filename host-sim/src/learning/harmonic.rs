@@ -15,7 +15,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::packages::Recording;
 
-/// Least and greatest frequency that is looked for. \[rad/s\]
+/// Lowest and highest frequencies to look for. \[rad/s\]
 const RANGE: [f64; 2] = [0.6, 12.0];
 
 /// Step of the grid. \[rad/s\]

@@ -153,7 +153,7 @@ impl Reader<'_> {
                     "MIN" => first.min(second),
                     _ => first.checked_next_multiple_of(second).ok_or_else(|| {
                         let problem = format!("{first:#x} cannot be aligned to {second:#x}");
-                        Fault::new(line, problem, "use a smaller alignment above 0")
+                        Fault::new(line, problem, "use a smaller alignment, but not 0")
                     })?,
                 }
             }

@@ -121,7 +121,7 @@ impl Draft {
         }
     }
 
-    /// Encodes the package in the newest format and checks it with the core's acceptance.
+    /// Encodes the package in the newest format and runs the core's acceptance checks on it.
     ///
     /// # Errors
     /// See [`DraftError`].

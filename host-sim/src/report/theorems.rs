@@ -104,7 +104,7 @@ pub struct Checks {
     pub theorem1: UltimateBoundCheck,
     /// Theorem 2 for each agent.
     pub theorem2: Vec<AgentCheck>,
-    /// Development of the error; `None` if it was not measured.
+    /// The error over time; `None` if it was not measured.
     pub growth: Option<Growth>,
 }
 

@@ -28,7 +28,7 @@ pub fn without_files(text: &str) -> String {
     with_files(text, |_| Some(String::new()))
 }
 
-/// Replaces the names of files for which there is another.
+/// Replaces the name of each file that has been renamed.
 fn with_files(text: &str, renamed: impl Fn(&str) -> Option<String>) -> String {
     let Ok(mut document) = text.parse::<DocumentMut>() else { return text.to_owned() };
     let mut is_changed = false;

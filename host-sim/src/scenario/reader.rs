@@ -184,7 +184,7 @@ impl<'a> Value<'a> {
         self.wrong(format_args!("is {found}, expected {expected}"))
     }
 
-    /// Returns a finite number that fits into the agents' single precision.
+    /// Returns a finite number that the agents' single precision can represent.
     pub(super) fn number(&self) -> Result<f64, ScenarioError> {
         if let Some(number) = plain_number(self.value.get_ref()) {
             return Ok(number);

@@ -197,7 +197,7 @@ pub fn transfer(
     Ok(send_and_stage(client, package, 0, retry_policy, progress)?)
 }
 
-/// Returns whether the flash failed, so that sending everything again would only wear it.
+/// Returns whether the flash failed, in which case sending everything again would only wear it out.
 fn is_flash(problem: Problem) -> bool {
     let Problem::Store(error) = problem else { return false };
     matches!(PushError::from(ServiceError::Refused(Problem::Store(error))), PushError::Flash(_))

@@ -86,7 +86,7 @@ impl Cholesky {
         self.factorise(stopped)
     }
 
-    /// Returns row `k` of U from its diagonal on.
+    /// Returns row `k` of U from the diagonal onward.
     pub(crate) fn row(&self, k: usize) -> &[f64] {
         &self.factor[k * self.stride..][k..self.order]
     }

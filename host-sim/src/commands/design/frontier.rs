@@ -93,7 +93,7 @@ impl Wanted {
         let useless = useless.filter(|_| self.rate.is_some());
         let relation = useless.map_or(String::new(), |point| {
             format!(
-                "at the radius {} the largest RMSE is {}, but the state itself is only {} (RMS) from its mean, so an \
+                "at a radius of {} the largest RMSE is {}, but the state itself is only {} (RMS) from its mean, so an \
                  estimate that never moves would hardly be worse; ",
                 significant(point.radius, 3),
                 number(point.error),

@@ -134,7 +134,7 @@ fn range(spec: &str) -> Result<Option<Range>, String> {
         count => {
             let number = count.parse().ok().filter(|number| (2..=VALUES_MAX).contains(number));
             Some(number.ok_or_else(|| {
-                format!("{count:?} is not a number of values; write 2 to {VALUES_MAX}, such as 9 or log9")
+                format!("{count:?} is not a valid count of values; write 2 to {VALUES_MAX}, such as 9 or log9")
             })?)
         }
     };
@@ -245,8 +245,8 @@ mod tests {
             ("x=\"a,b", "\"a,b has a quote that is not closed"),
             ("x=2:1:3", "2:1 is not a range"),
             ("x=0:1:log3", "0 has no logarithm"),
-            ("x=1:2:1", "\"1\" is not a number of values"),
-            ("x=1:2:lin5", "\"lin5\" is not a number of values"),
+            ("x=1:2:1", "\"1\" is not a valid count of values"),
+            ("x=1:2:lin5", "\"lin5\" is not a valid count of values"),
         ] {
             let error = text.parse::<Vary>().unwrap_err();
             assert!(error.starts_with(problem), "{text}: {error}");

@@ -173,7 +173,7 @@ impl Recording {
                 csv::ErrorKind::Io(error) if is_too_large(error) => wrong(
                     None,
                     format!("cannot read: {error}"),
-                    "record less, or split it into files, which can have 4 GiB each, with one line per sample",
+                    "record less, or split the recording into files of at most 4 GiB; write one sample per line",
                 ),
                 _ => {
                     wrong(line, format!("cannot read: {error}"), "check that the file is valid CSV")
