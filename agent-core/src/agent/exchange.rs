@@ -34,9 +34,8 @@
 //! Memory: `4 N + 12` bytes, and 24 bytes for each held sample. Cost: some 10 operations in a step, and
 //! with fading the consensus term in every step.
 
-use crate::agent::AgentParams;
-use crate::agent::hold::{Hold, HoldSlots};
-use crate::agent::inbox::{Drained, Inbox};
+use crate::agent::hold::Hold;
+use crate::agent::inbox::Drained;
 use crate::math::numeric::{add_scaled, all_finite, difference, zeros};
 use crate::math::parameter::ParameterError;
 use crate::{StateVector, Tick};
@@ -236,21 +235,6 @@ impl<const N: usize> Exchange<N> {
     #[cfg(feature = "field")]
     pub(crate) fn repeat_at(&mut self, tick: Tick) {
         self.repeat_at = tick;
-    }
-
-    /// Moves what has arrived in `inbox` into its senders' slots in `holds` at step `now`. Not inlined: two
-    /// forms of the observer call it.
-    #[inline(never)]
-    pub(crate) fn take_over<I: HoldSlots<N>>(
-        &self,
-        params: &AgentParams<'_, N>,
-        inbox: &mut Inbox<N, I>,
-        holds: &mut [Option<Hold<N>>],
-        now: Tick,
-    ) -> Drained {
-        inbox.drain_into(holds, now, params.restart_silence, |sample, held| {
-            self.arrived(&params.exchange, params.step_size, sample, held, now)
-        })
     }
 
     /// Adds the derivative of a step to the mean velocity.

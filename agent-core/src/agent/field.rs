@@ -25,7 +25,7 @@ use crate::agent::capture::Sample;
 use crate::agent::exchange::Exchange;
 use crate::agent::hold::{Hold, HoldSlots, LAG_MAX};
 use crate::agent::inbox::Inbox;
-use crate::agent::{AgentParams, AgentState, StepError, StepOutput};
+use crate::agent::{AgentParams, AgentState, StepError, StepOutput, take_over};
 use crate::math::numeric::{
     add_scaled, all_finite, components, components_mut, difference, for_each, zeros,
 };
@@ -277,7 +277,7 @@ where
             Prediction { params: own, network, outer_weights: shipped, digest, step_size };
 
         let holds = self.neighbour_holds.as_mut();
-        let drained = exchange.take_over(params, inbox, holds, tick);
+        let drained = take_over(exchange, params, inbox, holds, tick);
         self.stale_frames = drained.stale;
         let was_away = exchange.is_away();
         exchange.heard(&drained);

@@ -48,7 +48,7 @@ use crate::NODE_DIMENSION_MAX;
 use crate::agent::capture::Sample;
 use crate::agent::exchange::Exchange;
 use crate::agent::hold::{Hold, HoldSlots};
-use crate::agent::inbox::Inbox;
+use crate::agent::inbox::{Drained, Inbox};
 use crate::math::numeric::{add_scaled, all_finite, components, difference, product, zeros};
 use crate::math::parameter::{ParameterError, finite};
 use crate::observer::features::Features;
@@ -356,7 +356,8 @@ where
         // Nothing can fail from here on.
         let sample = Sample { tick, estimate: self.estimate, derivative };
         let hold_error = difference(self.own_hold.estimate(), &estimate);
-        let drained = self.exchange.take_over(params, inbox, self.neighbour_holds.as_mut(), tick);
+        let holds = self.neighbour_holds.as_mut();
+        let drained = take_over(&self.exchange, params, inbox, holds, tick);
         self.stale_frames = drained.stale;
         self.exchange.heard(&drained);
         self.exchange.follow(&params.exchange, &derivative);
@@ -578,4 +579,19 @@ where
     pub fn stale_frames(&self) -> u32 {
         self.stale_frames
     }
+}
+
+/// Moves what has arrived in `inbox` into its senders' slots in `holds` at step `now`. Not inlined: both
+/// forms of the observer call it.
+#[inline(never)]
+fn take_over<const N: usize, I: HoldSlots<N>>(
+    exchange: &Exchange<N>,
+    params: &AgentParams<'_, N>,
+    inbox: &mut Inbox<N, I>,
+    holds: &mut [Option<Hold<N>>],
+    now: Tick,
+) -> Drained {
+    inbox.drain_into(holds, now, params.restart_silence, |sample, held| {
+        exchange.arrived(&params.exchange, params.step_size, sample, held, now)
+    })
 }
