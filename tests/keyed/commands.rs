@@ -118,7 +118,7 @@ fn an_operator_rotates_the_key_that_signs() {
     rotate(3, 1);
     // The package in use still has the old signature.
     let error = folder.fail("node node rotate --keys keys", 2);
-    assert!(error.contains("push a package that is signed with the new key"), "{error}");
+    assert!(error.contains("push a package signed with the new key"), "{error}");
     assert!(push(4, "--keys keys"));
     folder.succeed("node node rotate --keys keys");
     assert!(!push(5, "--key keys/operator.old.pem"));
