@@ -131,7 +131,7 @@ impl Model {
         Ok(())
     }
 
-    /// Returns the senders that have said farewell and not been heard since.
+    /// Returns the senders that have said farewell and not been heard from since.
     fn absent(&self) -> Vec<AgentId> {
         let held = self.held.iter().filter(|(_, (frame, _))| frame.is_farewell);
         held.map(|(&sender, _)| sender).collect()

@@ -254,7 +254,7 @@ pub fn tanh_below(x: f32) -> f32 {
     f32::from_bits(with_sign_of(x.to_bits(), tanh_small(f32::from_bits(x.to_bits() & !SIGN))))
 }
 
-/// [`tanh`] of every other `x`, NaN included.
+/// [`tanh`] of all remaining `x`, NaN included.
 #[inline(always)]
 #[must_use]
 pub fn tanh_above(x: f32) -> f32 {

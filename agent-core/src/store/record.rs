@@ -175,7 +175,7 @@ impl Record {
         record
     }
 
-    /// Decodes number and record; `None` if the bytes are not a record of this format, or if they
+    /// Decodes the number and the record; `None` if the bytes are not a record of this format, or if they
     /// are a state that contradicts itself.
     pub(super) fn decode(record: &[u8; RECORD_LENGTH]) -> Option<(u32, Self)> {
         let body = checked(record, FORMAT)?;

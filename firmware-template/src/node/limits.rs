@@ -1,6 +1,6 @@
-//! How often a node erases flash and checks packages.
+//! Limits how often a node erases flash and checks packages.
 //!
-//! Time is that of its steps. Without a package a node takes no steps, so time stops and
+//! Time is counted in its steps. Without a package a node takes no steps, so time stops and
 //! there is no limit. Memory: 40 bytes.
 
 use agent_core::store::{Limiter, RateLimit, StoreError};

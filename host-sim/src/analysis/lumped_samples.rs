@@ -29,7 +29,7 @@ use nalgebra::DMatrix;
 
 /// Most steps that are sampled evenly over the run.
 const POINTS: u64 = 1024;
-/// Fewest, however large the network of agents.
+/// Smallest number of points, however large the network of agents.
 const POINTS_MIN: u64 = 64;
 /// Numbers that may be kept before there are fewer points. 32 MB.
 const NUMBERS_MAX: u64 = 4_000_000;

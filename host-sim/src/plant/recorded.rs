@@ -103,8 +103,8 @@ impl Recorded {
         }
     }
 
-    /// Returns what an agent measures of a column in the step from `time` \[s\] of length `step` \[s\]; `None`
-    /// for nothing.
+    /// Returns an agent's measurement from a column in the step of length `step` \[s\] that starts at `time` \[s\];
+    /// `None` if there is none.
     #[must_use]
     pub fn measured(&self, column: usize, time: f64, step: f64) -> Option<f64> {
         let row = self.row_at(time)?;

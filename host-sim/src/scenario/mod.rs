@@ -403,7 +403,7 @@ impl Relearning {
     /// Windows that say how often agents broadcast with a network, after the one in which the observer settles.
     pub const REFERENCES: u32 = 3;
 
-    /// Windows above the rate, one after the other, before a cycle starts.
+    /// Number of consecutive windows above the rate before a cycle starts.
     pub const ABOVE: u32 = 2;
 }
 

@@ -100,7 +100,7 @@ impl FileKind {
         }
     }
 
-    /// Returns the kind of files that a network may replace: other networks.
+    /// Returns the kind of file that a network may replace: another network.
     #[must_use]
     pub fn output_kind(self) -> OutputKind {
         match self {

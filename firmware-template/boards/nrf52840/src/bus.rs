@@ -37,7 +37,7 @@ pub(crate) enum BusError {
     NoAcknowledge,
     /// More or fewer bytes than there should be.
     Length,
-    /// Neither a write, nor a read, nor a write and then a read, of a few bytes.
+    /// A transfer other than a write, a read, or a write and then a read, of a few bytes.
     Unsupported,
 }
 

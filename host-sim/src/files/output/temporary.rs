@@ -60,8 +60,8 @@ pub struct Temporary {
 }
 
 impl Temporary {
-    /// Creates an empty file in `folder`, open for writing; with this mode, on systems that have
-    /// modes.
+    /// Creates an empty file in `folder`, open for writing, and sets its mode on systems that
+    /// have modes.
     ///
     /// # Errors
     /// The system's error.
